@@ -1,0 +1,49 @@
+//! Video, masks, keypoints, camera and poses, checked against each other: one [`Capture`].
+
+use crate::camera::Camera;
+
+/// One frame, cropped to the person: the same box in all images of the frame.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Index in the uploaded video, 0-based.
+    pub index: u32,
+    /// Place of the crop's first pixel in the (undistorted, scaled) image.
+    pub x0: u32,
+    pub y0: u32,
+    pub width: u32,
+    pub height: u32,
+    /// `[height, width, 3]`, sRGB as stored.
+    pub rgb: Vec<u8>,
+    /// `[height, width]`, 255 inside the person.
+    pub mask: Vec<u8>,
+    /// `[K]` x, y in pixels of the whole (undistorted, scaled) image, and confidence; confidence 0 = not seen.
+    pub keypoints: Vec<[f32; 3]>,
+}
+
+/// Known poses, SMPL's convention, one a kept frame.
+#[derive(Clone, Debug)]
+pub struct KnownPoses {
+    /// `[N][72]`
+    pub poses: Vec<Vec<f32>>,
+    /// `[N]`: SMPL's `transl`, or the pelvis position where `is_pelvis`.
+    pub trans: Vec<[f32; 3]>,
+    pub is_pelvis: bool,
+    pub betas: Option<Vec<f32>>,
+}
+
+/// A validated clip, in memory.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    /// Of the undistorted, scaled images.
+    pub camera: Camera,
+    /// True where no camera came with the clip: the focal length is a guess that stage 0 refines.
+    pub camera_estimated: bool,
+    /// Frames a second of the uploaded video.
+    pub fps: f64,
+    pub frames: Vec<Frame>,
+    /// `coco17`, `coco18` or `body25`
+    pub keypoint_format: String,
+    pub poses: Option<KnownPoses>,
+    /// What was odd but not wrong, for the report: one line each.
+    pub warnings: Vec<String>,
+}

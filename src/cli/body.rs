@@ -1,0 +1,8 @@
+//! `effigy body`
+
+#[derive(clap::Args)]
+pub struct Args {}
+
+pub fn run(_args: Args) -> anyhow::Result<()> {
+    Ok(())
+}

@@ -1,0 +1,110 @@
+//! Typed storage buffers. New buffers are always filled: with data or with zeros.
+
+use std::marker::PhantomData;
+use std::sync::Arc;
+
+use bytemuck::Pod;
+use wgpu::util::DeviceExt;
+
+use super::device::{Gpu, GpuError, Memory};
+
+/// `len` values of `T` on the device, tightly packed.
+pub struct Buffer<T> {
+    pub(super) raw: wgpu::Buffer,
+    label: String,
+    len: usize,
+    memory: Arc<Memory>,
+    kind: PhantomData<T>,
+}
+
+impl<T> Buffer<T> {
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    pub fn label(&self) -> &str {
+        &self.label
+    }
+}
+
+impl<T> Drop for Buffer<T> {
+    fn drop(&mut self) {
+        self.memory.sub(self.raw.size());
+    }
+}
+
+const USAGE: wgpu::BufferUsages =
+    wgpu::BufferUsages::STORAGE.union(wgpu::BufferUsages::COPY_DST).union(wgpu::BufferUsages::COPY_SRC);
+
+impl Gpu {
+    /// A buffer that holds `data`. An empty slice gives one zero element, because bindings cannot be empty.
+    pub fn upload<T: Pod>(&self, label: &str, data: &[T]) -> Buffer<T> {
+        if data.is_empty() {
+            return self.zeros(label, 0);
+        }
+        let raw = self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some(label),
+            contents: bytemuck::cast_slice(data),
+            usage: USAGE,
+        });
+        self.track(label, raw, data.len())
+    }
+
+    /// A buffer of `len` zeros.
+    pub fn zeros<T: Pod>(&self, label: &str, len: usize) -> Buffer<T> {
+        let size = (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
+        let raw = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size,
+            usage: USAGE,
+            mapped_at_creation: false,
+        });
+        self.track(label, raw, len)
+    }
+
+    fn track<T>(&self, label: &str, raw: wgpu::Buffer, len: usize) -> Buffer<T> {
+        self.memory.add(raw.size());
+        Buffer { raw, label: label.to_owned(), len, memory: self.memory.clone(), kind: PhantomData }
+    }
+
+    /// Overwrites `buffer` from element `offset` on. Ordered before the next submission.
+    ///
+    /// # Panics
+    /// When the data reaches past the buffer's end.
+    pub fn write<T: Pod>(&self, buffer: &Buffer<T>, offset: usize, data: &[T]) {
+        assert!(offset + data.len() <= buffer.len, "{}: write past the end", buffer.label);
+        self.queue.write_buffer(&buffer.raw, (offset * size_of::<T>()) as u64, bytemuck::cast_slice(data));
+    }
+
+    /// Copies the whole buffer back; waits for all submitted work.
+    pub fn read<T: Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, GpuError> {
+        if buffer.is_empty() {
+            return Ok(Vec::new());
+        }
+        let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("gpu/read"),
+            size: buffer.raw.size(),
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let mut encoder =
+            self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("gpu/read") });
+        encoder.copy_buffer_to_buffer(&buffer.raw, 0, &staging, 0, buffer.raw.size());
+        self.queue.submit([encoder.finish()]);
+        let (send, receive) = std::sync::mpsc::channel();
+        staging.map_async(wgpu::MapMode::Read, .., move |result| {
+            let _ = send.send(result);
+        });
+        self.wait()?;
+        receive
+            .recv()
+            .map_err(|e| GpuError::Lost(e.to_string()))?
+            .map_err(|e| GpuError::Failed(format!("{}: {e}", buffer.label)))?;
+        let view = staging.get_mapped_range(..).map_err(|e| GpuError::Failed(format!("{}: {e}", buffer.label)))?;
+        Ok(bytemuck::pod_collect_to_vec(&view[..buffer.len * size_of::<T>()]))
+    }
+}

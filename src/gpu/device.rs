@@ -1,0 +1,189 @@
+//! Adapter selection and the device's life.
+
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+
+use super::kernel::Kernel;
+use super::timing::Timings;
+
+/// Why the device could not be had or did not finish its work.
+#[derive(Debug, thiserror::Error)]
+pub enum GpuError {
+    #[error("no graphics adapter was found ({0}); install a Vulkan driver (Debian: mesa-vulkan-drivers libvulkan1)")]
+    NoAdapter(String),
+    #[error("the adapter {adapter} could not be opened: {reason}")]
+    Open { adapter: String, reason: String },
+    #[error("the device was lost: {0}")]
+    Lost(String),
+    #[error("the device reported: {0}")]
+    Failed(String),
+}
+
+/// Which adapter to use.
+#[derive(Clone, Debug, Default)]
+pub enum DeviceSelect {
+    /// The fastest hardware adapter, else a software one. `EFFIGY_DEVICE` (part of an adapter's name) overrides it.
+    #[default]
+    Auto,
+    /// The first adapter whose name contains this text, without regard to case.
+    Named(String),
+}
+
+/// What the device is, for reports and test output.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct DeviceInfo {
+    pub name: String,
+    pub backend: String,
+    pub driver: String,
+    /// True for a driver that computes on the CPU.
+    pub software: bool,
+    pub float_atomics: bool,
+    pub max_binding_bytes: u64,
+}
+
+/// An open device with its queue and its compiled kernels.
+pub struct Gpu {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    info: DeviceInfo,
+    pub(super) kernels: Mutex<HashMap<u64, Arc<Kernel>>>,
+    pub(super) memory: Arc<Memory>,
+    pub(super) fault: Arc<Mutex<Option<Fault>>>,
+    pub(super) timings: Option<Timings>,
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum Fault {
+    Lost(String),
+    Failed(String),
+}
+
+/// Bytes of buffers alive now and at most.
+#[derive(Default)]
+pub(super) struct Memory {
+    now: AtomicU64,
+    peak: AtomicU64,
+}
+
+impl Memory {
+    pub(super) fn add(&self, bytes: u64) {
+        let now = self.now.fetch_add(bytes, Ordering::Relaxed) + bytes;
+        self.peak.fetch_max(now, Ordering::Relaxed);
+    }
+
+    pub(super) fn sub(&self, bytes: u64) {
+        self.now.fetch_sub(bytes, Ordering::Relaxed);
+    }
+}
+
+impl Gpu {
+    /// Opens a device. Blocks; errors when no adapter is there or it refuses.
+    pub fn open(select: &DeviceSelect) -> Result<Arc<Gpu>, GpuError> {
+        pollster::block_on(Self::open_async(select))
+    }
+
+    async fn open_async(select: &DeviceSelect) -> Result<Arc<Gpu>, GpuError> {
+        let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+            backends,
+            ..wgpu::InstanceDescriptor::new_without_display_handle()
+        });
+        let mut adapters = instance.enumerate_adapters(backends).await;
+        let wanted = match select {
+            DeviceSelect::Named(name) => Some(name.clone()),
+            DeviceSelect::Auto => std::env::var("EFFIGY_DEVICE").ok().filter(|name| !name.is_empty()),
+        };
+        let names: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
+        if let Some(wanted) = &wanted {
+            adapters.retain(|a| a.get_info().name.to_lowercase().contains(&wanted.to_lowercase()));
+        }
+        adapters.sort_by_key(|a| match a.get_info().device_type {
+            wgpu::DeviceType::DiscreteGpu => 0,
+            wgpu::DeviceType::IntegratedGpu => 1,
+            wgpu::DeviceType::VirtualGpu => 2,
+            wgpu::DeviceType::Other => 3,
+            wgpu::DeviceType::Cpu => 4,
+        });
+        let adapter = adapters
+            .into_iter()
+            .next()
+            .ok_or_else(|| GpuError::NoAdapter(format!("seen: {names:?}, wanted: {wanted:?}")))?;
+        Self::from_adapter(&adapter).await
+    }
+
+    async fn from_adapter(adapter: &wgpu::Adapter) -> Result<Arc<Gpu>, GpuError> {
+        let info = adapter.get_info();
+        // `EFFIGY_NO_FLOAT_ATOMICS` tests the compare-and-swap twin on a device that has the real ones.
+        let float_atomics = adapter.features().contains(wgpu::Features::SHADER_FLOAT32_ATOMIC)
+            && std::env::var_os("EFFIGY_NO_FLOAT_ATOMICS").is_none();
+        let mut features = wgpu::Features::empty();
+        if float_atomics {
+            features |= wgpu::Features::SHADER_FLOAT32_ATOMIC;
+        }
+        let limits = adapter.limits();
+        let max_binding_bytes = limits.max_storage_buffer_binding_size;
+        let (device, queue) = adapter
+            .request_device(&wgpu::DeviceDescriptor {
+                label: Some("effigy"),
+                required_features: features,
+                required_limits: limits,
+                experimental_features: wgpu::ExperimentalFeatures::disabled(),
+                memory_hints: wgpu::MemoryHints::MemoryUsage,
+                trace: wgpu::Trace::Off,
+            })
+            .await
+            .map_err(|e| GpuError::Open { adapter: info.name.clone(), reason: e.to_string() })?;
+        let fault = Arc::new(Mutex::new(None));
+        let lost = fault.clone();
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                lost.lock().unwrap().get_or_insert(Fault::Lost(message));
+            }
+        });
+        let failed = fault.clone();
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            failed.lock().unwrap().get_or_insert(Fault::Failed(error.to_string()));
+        }));
+        Ok(Arc::new(Gpu {
+            info: DeviceInfo {
+                name: info.name.clone(),
+                backend: info.backend.to_string(),
+                driver: format!("{} {}", info.driver, info.driver_info),
+                software: info.device_type == wgpu::DeviceType::Cpu,
+                float_atomics,
+                max_binding_bytes,
+            },
+            device,
+            queue,
+            kernels: Mutex::default(),
+            memory: Arc::default(),
+            fault,
+            timings: std::env::var_os("EFFIGY_GPU_PROFILE").map(|_| Timings::default()),
+        }))
+    }
+
+    pub fn info(&self) -> &DeviceInfo {
+        &self.info
+    }
+
+    /// The first error that the device reported since it was opened, if any. Errors stay: open a fresh device.
+    pub fn check(&self) -> Result<(), GpuError> {
+        match self.fault.lock().unwrap().clone() {
+            None => Ok(()),
+            Some(Fault::Lost(reason)) => Err(GpuError::Lost(reason)),
+            Some(Fault::Failed(reason)) => Err(GpuError::Failed(reason)),
+        }
+    }
+
+    /// Waits until all submitted work is done.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        self.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| GpuError::Lost(e.to_string()))?;
+        self.check()
+    }
+
+    /// The most bytes of device buffers that were alive at one time.
+    pub fn peak_bytes(&self) -> u64 {
+        self.memory.peak.load(Ordering::Relaxed)
+    }
+}

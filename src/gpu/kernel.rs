@@ -1,0 +1,52 @@
+//! Compute pipelines, compiled once a device and a set of constants.
+
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Arc;
+
+use super::device::Gpu;
+use super::shader::{Expansion, expand};
+
+/// A compiled compute shader with one entry point and one bind group: binding 0 is the uniform `params`, bindings 1…
+/// are storage buffers in the order given at the dispatch. Each shader must use all of its bindings.
+pub struct Kernel {
+    pub(super) pipeline: wgpu::ComputePipeline,
+    pub(super) label: String,
+}
+
+impl Gpu {
+    /// The kernel of `source`; compiled at the first call, then cached.
+    ///
+    /// `label` is the path of its file under `shaders/` without the ending (`soft_rasterize/backward`); `constants`
+    /// are values for its `#const` lines, as WGSL literals (`"8u"`, `"1.5"`).
+    pub fn kernel(&self, label: &str, source: &str, constants: &[(&str, String)]) -> Arc<Kernel> {
+        let mut hasher = DefaultHasher::new();
+        (label, source, constants).hash(&mut hasher);
+        let key = hasher.finish();
+        if let Some(kernel) = self.kernels.lock().unwrap().get(&key) {
+            return kernel.clone();
+        }
+        let text = expand(label, source, Expansion { float_atomics: self.info().float_atomics, constants });
+        let desc = wgpu::ShaderModuleDescriptor { label: Some(label), source: wgpu::ShaderSource::Wgsl(text.into()) };
+        let module = if std::env::var_os("EFFIGY_GPU_CHECKED").is_some() {
+            self.device.create_shader_module(desc)
+        } else {
+            // SAFETY: the shaders are the project's own; each bounds its indices by `params`, and the parity tests run
+            // them with the checks on as well (EFFIGY_GPU_CHECKED). The checks add a counter to every loop.
+            unsafe { self.device.create_shader_module_trusted(desc, wgpu::ShaderRuntimeChecks::unchecked()) }
+        };
+        let pipeline = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(label),
+            layout: None,
+            module: &module,
+            entry_point: None,
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants: &[],
+                zero_initialize_workgroup_memory: false,
+            },
+            cache: None,
+        });
+        let kernel = Arc::new(Kernel { pipeline, label: label.to_owned() });
+        self.kernels.lock().unwrap().insert(key, kernel.clone());
+        kernel
+    }
+}

@@ -1,0 +1,146 @@
+//! WGSL with three directives, each alone on its line:
+//!
+//! - `#import shared/NAME` pastes `shaders/shared/NAME.wgsl`, once.
+//! - `#const NAME: TYPE = DEFAULT` becomes `const NAME: TYPE = VALUE;` where the host may give another value; array
+//!   sizes can then depend on it, and no constant is stated twice.
+//! - `#atomic_f32 BUFFER` makes `fn BUFFER_add(i: u32, value: f32)` for a storage binding declared as
+//!   `array<atomic_f32>`: native float atomics where the device has them, a compare-and-swap loop where not.
+
+use std::collections::HashSet;
+use std::fmt::Write;
+
+/// The import-only sources.
+const SHARED: &[(&str, &str)] = &[("shared/linear_index", include_str!("../../shaders/shared/linear_index.wgsl"))];
+
+/// What a source expands to on a device.
+#[derive(Clone, Copy, Debug)]
+pub struct Expansion<'a> {
+    pub float_atomics: bool,
+    /// Values for `#const` lines, as WGSL literals.
+    pub constants: &'a [(&'a str, String)],
+}
+
+/// Expands the directives of `source`.
+///
+/// # Panics
+/// On an unknown import, a malformed directive or a constant that the source does not declare: all are errors of the
+/// program, found by the test that expands every shader.
+pub fn expand(label: &str, source: &str, how: Expansion<'_>) -> String {
+    let mut out = String::with_capacity(source.len() * 2);
+    let mut seen = HashSet::new();
+    let mut used = HashSet::new();
+    let alias = if how.float_atomics { "f32" } else { "u32" };
+    if source.contains("atomic_f32") {
+        writeln!(out, "alias atomic_f32 = atomic<{alias}>;").unwrap();
+    }
+    paste(label, source, how, &mut seen, &mut used, &mut out);
+    for (name, _) in how.constants {
+        assert!(used.contains(*name), "{label}: no #const {name}");
+    }
+    out
+}
+
+fn paste<'a>(
+    label: &str,
+    source: &'a str,
+    how: Expansion<'_>,
+    seen: &mut HashSet<String>,
+    used: &mut HashSet<&'a str>,
+    out: &mut String,
+) {
+    for line in source.lines() {
+        if let Some(name) = line.strip_prefix("#import ") {
+            let name = name.trim();
+            if seen.insert(name.to_owned()) {
+                let text = SHARED.iter().find(|(n, _)| *n == name);
+                let (_, text) = text.unwrap_or_else(|| panic!("{label}: unknown import {name}"));
+                paste(name, text, how, seen, used, out);
+            }
+        } else if let Some(rest) = line.strip_prefix("#const ") {
+            let (declared, default) = rest.split_once('=').unwrap_or_else(|| panic!("{label}: {line}"));
+            let (name, kind) = declared.split_once(':').unwrap_or_else(|| panic!("{label}: {line}"));
+            used.insert(name.trim());
+            let given = how.constants.iter().find(|(n, _)| *n == name.trim());
+            let value = given.map_or(default.trim(), |(_, value)| value);
+            writeln!(out, "const {}: {} = {value};", name.trim(), kind.trim()).unwrap();
+        } else if let Some(buffer) = line.strip_prefix("#atomic_f32 ") {
+            atomic_add(buffer.trim(), how.float_atomics, out);
+        } else {
+            out.push_str(line);
+            out.push('\n');
+        }
+    }
+}
+
+fn atomic_add(buffer: &str, native: bool, out: &mut String) {
+    let body = if native {
+        format!("    atomicAdd(&{buffer}[i], value);\n")
+    } else {
+        format!(
+            "    var old = atomicLoad(&{buffer}[i]);\n    loop {{\n        let new = bitcast<u32>(bitcast<f32>(old) + value);\n        \
+             let result = atomicCompareExchangeWeak(&{buffer}[i], old, new);\n        if result.exchanged {{ break; }}\n        \
+             old = result.old_value;\n    }}\n"
+        )
+    };
+    write!(out, "fn {buffer}_add(i: u32, value: f32) {{\n{body}}}\n").unwrap();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shaders() -> Vec<(String, String)> {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("shaders");
+        let mut found = Vec::new();
+        for folder in std::fs::read_dir(&root).unwrap().map(|f| f.unwrap().path()).filter(|f| f.is_dir()) {
+            if folder.ends_with("shared") {
+                continue;
+            }
+            for file in std::fs::read_dir(folder).unwrap().map(|f| f.unwrap().path()) {
+                let label = file.strip_prefix(&root).unwrap().with_extension("").display().to_string();
+                found.push((label, std::fs::read_to_string(&file).unwrap()));
+            }
+        }
+        found.sort();
+        found
+    }
+
+    /// Every shader is valid WGSL with its default constants, with and without float atomics; no device is needed.
+    #[test]
+    fn naga_accepts_every_shader() {
+        let all = shaders();
+        assert!(!all.is_empty());
+        let mut failures = String::new();
+        for (label, source) in &all {
+            for float_atomics in [true, false] {
+                let text = expand(label, source, Expansion { float_atomics, constants: &[] });
+                let mut validator =
+                    naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::all());
+                let result = naga::front::wgsl::parse_str(&text)
+                    .map_err(|e| e.emit_to_string(&text))
+                    .and_then(|module| validator.validate(&module).map_err(|e| e.emit_to_string(&text)));
+                if let Err(error) = result {
+                    writeln!(failures, "{label} (float atomics {float_atomics}):\n{error}").unwrap();
+                }
+                let entries = text.matches("@compute").count();
+                if entries != 1 {
+                    writeln!(failures, "{label}: {entries} entry points, expected 1").unwrap();
+                }
+            }
+        }
+        assert!(failures.is_empty(), "{failures}");
+    }
+
+    #[test]
+    fn a_constant_takes_the_host_value() {
+        let text =
+            expand("t", "#const N: u32 = 4u\n", Expansion { float_atomics: true, constants: &[("N", "8u".into())] });
+        assert_eq!(text, "const N: u32 = 8u;\n");
+    }
+
+    #[test]
+    #[should_panic(expected = "no #const M")]
+    fn an_undeclared_constant_is_refused() {
+        expand("t", "#const N: u32 = 4u\n", Expansion { float_atomics: true, constants: &[("M", "8u".into())] });
+    }
+}

@@ -1,0 +1,15 @@
+//! Effigy: rigged, textured, animatable 3D avatars from ordinary video. ARCHITECTURE.md has the map.
+
+pub mod avatar;
+pub mod body;
+pub mod camera;
+pub mod capture;
+pub mod eval;
+pub mod fit;
+pub mod gpu;
+pub mod http;
+pub mod jobs;
+pub mod npz;
+pub mod ops;
+pub mod storage;
+pub mod worker;

@@ -1,0 +1,26 @@
+//! Reference twin.
+
+use super::AdamConfig;
+use crate::ops::Real;
+
+/// One step, `step` counted from 1.
+pub fn step<T: Real>(
+    config: &AdamConfig,
+    lr: T,
+    step: u32,
+    params: &mut [T],
+    grads: &[T],
+    exp_avg: &mut [T],
+    exp_avg_sq: &mut [T],
+) {
+    let (beta1, beta2, eps) = (T::of(config.beta1), T::of(config.beta2), T::of(config.eps));
+    let correction1 = T::of(1.0 - config.beta1.powi(step as i32));
+    let correction2 = T::of(1.0 - config.beta2.powi(step as i32));
+    for i in 0..params.len() {
+        exp_avg[i] = beta1 * exp_avg[i] + (T::one() - beta1) * grads[i];
+        exp_avg_sq[i] = beta2 * exp_avg_sq[i] + (T::one() - beta2) * grads[i] * grads[i];
+        let m = exp_avg[i] / correction1;
+        let v = exp_avg_sq[i] / correction2;
+        params[i] -= lr * m / (v.sqrt() + eps);
+    }
+}

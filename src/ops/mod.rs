@@ -1,0 +1,25 @@
+//! The differentiable operators. Each folder holds its contract (`mod.rs`), its kernels' host side (`gpu.rs`) and its
+//! reference twin (`cpu.rs`), with the same names in the same order.
+//!
+//! Conventions of all contracts: arrays are C order and tightly packed f32 (`[N, 3]` is 3·N floats, no padding); a
+//! forward pass overwrites its results; a backward pass **adds** to every `grad_<name>` it is given, and the caller
+//! clears them.
+
+pub mod adam;
+pub mod face_area;
+pub mod hard_rasterize;
+pub mod interpolate;
+pub mod keypoints;
+pub mod nmr;
+pub mod normal_consistency;
+pub mod project;
+mod real;
+pub mod rgb_l1;
+pub mod silhouette_iou;
+pub mod skinning;
+pub mod soft_rasterize;
+#[cfg(test)]
+pub(crate) mod testing;
+pub mod texture_field;
+
+pub use real::Real;

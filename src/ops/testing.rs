@@ -1,0 +1,71 @@
+//! What the operators' tests share: the device, the golden values, tolerances, central differences.
+
+use std::path::PathBuf;
+use std::sync::{Arc, OnceLock};
+
+use super::Real;
+use crate::gpu::{DeviceSelect, Gpu};
+use crate::npz::Npz;
+
+/// The tests' device, or `None` after saying that `test` is ignored. In CI (`CI` set) a device is required.
+pub fn gpu(test: &str) -> Option<Arc<Gpu>> {
+    static GPU: OnceLock<Result<Arc<Gpu>, String>> = OnceLock::new();
+    match GPU.get_or_init(|| Gpu::open(&DeviceSelect::Auto).map_err(|e| e.to_string())) {
+        Ok(gpu) => {
+            eprintln!("{test}: on {}", gpu.info().name);
+            Some(gpu.clone())
+        }
+        Err(reason) => {
+            assert!(std::env::var_os("CI").is_none(), "{test}: CI requires a device: {reason}");
+            eprintln!("{test}: ignored, {reason}");
+            None
+        }
+    }
+}
+
+/// A golden archive: from `EFFIGY_GOLDEN_DIR`, else the committed fixtures.
+pub fn golden(name: &str) -> Npz {
+    let folder = std::env::var_os("EFFIGY_GOLDEN_DIR").map(PathBuf::from);
+    let folder = folder.unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden"));
+    Npz::open(&folder.join(name)).unwrap_or_else(|e| panic!("{}: {e}", folder.join(name).display()))
+}
+
+/// Tolerance of values against the golden ones, and of gradients.
+pub const VALUE: f64 = 1e-4;
+pub const GRADIENT: f64 = 1e-3;
+
+/// Fails unless `‖ours − want‖ / ‖want‖ ≤ tolerance`; NaN and infinity never pass.
+#[track_caller]
+pub fn assert_close<A: Real, B: Real>(what: &str, ours: &[A], want: &[B], tolerance: f64) {
+    assert_eq!(ours.len(), want.len(), "{what}: length");
+    let (mut difference, mut norm) = (0.0, 0.0);
+    for (i, (a, b)) in ours.iter().zip(want).enumerate() {
+        assert!(a.is_finite(), "{what}[{i}] is {a:?}");
+        difference += (a.f64() - b.f64()).powi(2);
+        norm += b.f64().powi(2);
+    }
+    let error = difference.sqrt() / norm.sqrt().max(1e-30);
+    assert!(difference == 0.0 || error <= tolerance, "{what}: relative error {error:.3e}, allowed {tolerance:.0e}");
+}
+
+/// Fails unless `gradient` agrees with central differences of `loss` at `x` in f64: every entry within
+/// `1e-5 + 1e-5·|difference|` for a step of 1e-6 scaled to the entry. All failures are listed.
+#[track_caller]
+pub fn assert_gradient(what: &str, x: &[f64], gradient: &[f64], mut loss: impl FnMut(&[f64]) -> f64) {
+    assert_eq!(x.len(), gradient.len(), "{what}: length");
+    let mut moved = x.to_vec();
+    let mut failures = Vec::new();
+    for i in 0..x.len() {
+        let h = 1e-6 * x[i].abs().max(1.0);
+        moved[i] = x[i] + h;
+        let above = loss(&moved);
+        moved[i] = x[i] - h;
+        let below = loss(&moved);
+        moved[i] = x[i];
+        let numeric = (above - below) / (2.0 * h);
+        if (gradient[i] - numeric).abs() > 1e-5 + 1e-5 * numeric.abs() || !gradient[i].is_finite() {
+            failures.push(format!("{what}[{i}]: gradient {}, central difference {numeric}", gradient[i]));
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
