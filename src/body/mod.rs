@@ -1,5 +1,10 @@
 //! The parametric body: its data, its file format, its importers.
 
+mod landmarks;
+mod test_body;
+
+pub use landmarks::Landmarks;
+
 /// Joints of every body, in SMPL's order.
 pub const N_JOINTS: usize = 24;
 
