@@ -10,7 +10,10 @@ use std::collections::HashSet;
 use std::fmt::Write;
 
 /// The import-only sources.
-const SHARED: &[(&str, &str)] = &[("shared/linear_index", include_str!("../../shaders/shared/linear_index.wgsl"))];
+const SHARED: &[(&str, &str)] = &[
+    ("shared/linear_index", include_str!("../../shaders/shared/linear_index.wgsl")),
+    ("shared/workgroup_sum", include_str!("../../shaders/shared/workgroup_sum.wgsl")),
+];
 
 /// What a source expands to on a device.
 #[derive(Clone, Copy, Debug)]

@@ -4,6 +4,10 @@
 //! Conventions of all contracts: arrays are C order and tightly packed f32 (`[N, 3]` is 3·N floats, no padding); a
 //! forward pass overwrites its results; a backward pass **adds** to every `grad_<name>` it is given, and the caller
 //! clears them.
+//!
+//! Losses share one buffer `losses [n_slots]`. The `forward` of a loss adds its value, **unweighted**, to the slot it is
+//! given ([`LossSlot`], summed by [`reduce::Sum`]), so that the frames of a batch add up; its `backward` takes the weight
+//! λ and adds λ·∂L/∂x. The caller clears the slots.
 
 pub mod adam;
 pub mod face_area;
@@ -14,6 +18,7 @@ pub mod nmr;
 pub mod normal_consistency;
 pub mod project;
 mod real;
+pub mod reduce;
 pub mod rgb_l1;
 pub mod silhouette_iou;
 pub mod skinning;
@@ -23,3 +28,4 @@ pub(crate) mod testing;
 pub mod texture_field;
 
 pub use real::Real;
+pub use reduce::LossSlot;
