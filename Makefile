@@ -1,0 +1,33 @@
+# Two commands do everything: `make demo` and `make test`. Each installs what is missing first.
+
+PROFILE_DIR := $(or $(CARGO_TARGET_DIR),target)/debug
+EFFIGY := $(PROFILE_DIR)/effigy
+
+.PHONY: demo test setup build lint body openapi validate-glb
+
+## The main job for real: server, upload, fit, avatar, renders. CLIP=folder uses your own clip.
+demo: setup build
+	scripts/demo.sh "$(EFFIGY)"
+
+## Formatting, lints, all tests.
+test: setup
+	scripts/test.sh
+
+## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, Node.js).
+setup:
+	scripts/setup.sh
+
+build:
+	cargo build --locked
+
+## The default body: downloads its wheel with pip, checks the hash, imports it into the data folder.
+body: setup build
+	scripts/body.sh "$(EFFIGY)"
+
+lint:
+	cargo fmt --check
+	cargo clippy --locked --all-targets -- -D warnings
+
+## Writes openapi.yaml anew from the handlers.
+openapi: build
+	"$(EFFIGY)" openapi > openapi.yaml
