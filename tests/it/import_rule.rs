@@ -102,7 +102,7 @@ fn the_reference_twins_know_no_device() {
     let mut files = Vec::new();
     rust_files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src/ops"), &mut files);
     let twins: Vec<_> = files.iter().filter(|f| f.ends_with("cpu.rs")).collect();
-    assert!(twins.len() > 5, "the twins are gone: mend the rule");
+    assert!(!twins.is_empty(), "the twins are gone: mend the rule");
     for twin in twins {
         let source = fs::read_to_string(twin).unwrap();
         assert!(!source.contains("wgpu") && !source.contains("gpu::"), "{} names the device", twin.display());
