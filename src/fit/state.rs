@@ -1,0 +1,159 @@
+//! What is being fitted, on the host: the start of each stage, the checkpoint, the result.
+
+use std::path::Path;
+
+use crate::body::Body;
+use crate::npz::{Npz, NpzError, NpzWriter};
+use crate::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
+
+/// The version of the checkpoint format.
+const VERSION: f64 = 1.0;
+
+/// How far a fit has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    /// β, D, θ, R, t and one colour a face.
+    Geometry,
+    /// Hash texture, θ, R, t.
+    Texture,
+    Done,
+}
+
+/// All parameters of an avatar in the making (paper §3.1: β, D, {θᵢ, Rᵢ, tᵢ}, φ). The rotation Rᵢ is joint 0 of θᵢ.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FitState {
+    pub stage: Stage,
+    /// Steps done in this stage.
+    pub step: u32,
+    /// `[B]`
+    pub betas: Vec<f32>,
+    /// `[V, 3]`
+    pub offsets: Vec<f32>,
+    /// `[N, 72]`
+    pub poses: Vec<f32>,
+    /// `[N, 3]`
+    pub transl: Vec<f32>,
+    /// `[F, 3]`, 0…1
+    pub face_colours: Vec<f32>,
+    /// `[V, 3]`, 0…1
+    pub texcoords: Vec<f32>,
+    pub field: TextureFieldParams,
+}
+
+impl FitState {
+    /// The start: the body of stage 0, no offsets, grey faces, texture coordinates from the mean body's surface.
+    pub fn new(
+        body: &Body,
+        betas: Vec<f32>,
+        poses: &[[f32; 72]],
+        transl: &[[f32; 3]],
+        field: TextureFieldConfig,
+        seed: u64,
+    ) -> Self {
+        Self {
+            stage: Stage::Geometry,
+            step: 0,
+            texcoords: initial_texcoords(body),
+            betas,
+            offsets: vec![0.0; body.n_vertices() * 3],
+            poses: poses.concat(),
+            transl: transl.concat(),
+            face_colours: vec![0.5; body.n_faces() * 3],
+            field: TextureFieldParams::random(field, seed),
+        }
+    }
+
+    pub fn n_frames(&self) -> usize {
+        self.poses.len() / 72
+    }
+
+    /// Writes the state; the file appears whole or not at all.
+    pub fn save(&self, path: &Path) -> Result<(), NpzError> {
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let file = tempfile::NamedTempFile::new_in(folder)?;
+        let mut npz = NpzWriter::new(std::io::BufWriter::new(file));
+        let stage = match self.stage {
+            Stage::Geometry => 1,
+            Stage::Texture => 2,
+            Stage::Done => 3,
+        };
+        npz.add("version", &[], &[VERSION])?;
+        npz.add("stage", &[], &[stage])?;
+        npz.add("step", &[], &[self.step])?;
+        for (name, data) in self.arrays() {
+            npz.add(name, &[data.len()], data)?;
+        }
+        let file = npz.finish()?.into_inner().map_err(|e| e.into_error())?;
+        file.as_file().sync_all()?;
+        file.persist(path).map_err(|e| NpzError::Io(e.error))?;
+        Ok(())
+    }
+
+    fn arrays(&self) -> [(&'static str, &Vec<f32>); 10] {
+        [
+            ("betas", &self.betas),
+            ("offsets", &self.offsets),
+            ("poses", &self.poses),
+            ("transl", &self.transl),
+            ("face_colours", &self.face_colours),
+            ("texcoords", &self.texcoords),
+            ("field_table", &self.field.table),
+            ("field_w0", &self.field.w0),
+            ("field_w1", &self.field.w1),
+            ("field_w2", &self.field.w2),
+        ]
+    }
+
+    /// Reads a checkpoint into a state of the same shapes. `None` where it belongs to another fit: another number of
+    /// frames, another body, another field.
+    pub fn resume(&self, path: &Path) -> Result<Option<Self>, NpzError> {
+        let npz = Npz::open(path)?;
+        if npz.scalar("version")? != VERSION {
+            return Ok(None);
+        }
+        let mut state = self.clone();
+        state.stage = match npz.scalar("stage")? as u32 {
+            1 => Stage::Geometry,
+            2 => Stage::Texture,
+            _ => Stage::Done,
+        };
+        state.step = npz.scalar("step")? as u32;
+        let mut whole = true;
+        let mut take = |name: &str, into: &mut Vec<f32>| -> Result<(), NpzError> {
+            let array = npz.get(name)?.f32();
+            whole &= array.len() == into.len() && array.iter().all(|x| x.is_finite());
+            *into = array;
+            Ok(())
+        };
+        take("betas", &mut state.betas)?;
+        take("offsets", &mut state.offsets)?;
+        take("poses", &mut state.poses)?;
+        take("transl", &mut state.transl)?;
+        take("face_colours", &mut state.face_colours)?;
+        take("texcoords", &mut state.texcoords)?;
+        take("field_table", &mut state.field.table)?;
+        take("field_w0", &mut state.field.w0)?;
+        take("field_w1", &mut state.field.w1)?;
+        take("field_w2", &mut state.field.w2)?;
+        Ok(whole.then_some(state))
+    }
+}
+
+/// The mean body's vertices in the T-pose, scaled evenly into the unit cube with a margin in which learned coordinates
+/// may move (paper §3.2). Even scaling keeps texels square on the surface.
+fn initial_texcoords(body: &Body) -> Vec<f32> {
+    let mut low = [f32::INFINITY; 3];
+    let mut high = [f32::NEG_INFINITY; 3];
+    for v in &body.v_template {
+        for k in 0..3 {
+            low[k] = low[k].min(v[k]);
+            high[k] = high[k].max(v[k]);
+        }
+    }
+    let side = (0..3).map(|k| high[k] - low[k]).fold(0.0, f32::max).max(1e-6);
+    let scale = 0.9 / side;
+    body.v_template
+        .iter()
+        .flat_map(|v| [0, 1, 2].map(|k| 0.5 + (v[k] - 0.5 * (low[k] + high[k])) * scale))
+        .collect()
+}
