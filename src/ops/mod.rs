@@ -10,6 +10,7 @@
 //! λ and adds λ·∂L/∂x. The caller clears the slots.
 
 pub mod adam;
+pub mod diffuse;
 pub mod face_area;
 pub mod hard_rasterize;
 pub mod interpolate;

@@ -111,6 +111,9 @@ fn the_reference_twins_know_no_device() {
 
 #[test]
 fn grouped_and_plain_imports_are_seen() {
-    assert_eq!(named_folders("use crate::gpu::Gpu;\nuse crate::{body::Body, ops::{adam, nmr}};"), ["gpu", "body", "ops"]);
+    assert_eq!(
+        named_folders("use crate::gpu::Gpu;\nuse crate::{body::Body, ops::{adam, nmr}};"),
+        ["gpu", "body", "ops"]
+    );
     assert!(named_folders("// crate::http::x\n").is_empty());
 }

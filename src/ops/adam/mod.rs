@@ -9,11 +9,17 @@
 //! `m ← β₁m + (1−β₁)g`, `v ← β₂v + (1−β₂)g²`, `p ← p − lr · m̂ / (√v̂ + ε)` with `m̂ = m/(1−β₁ᵗ)`, `v̂ = v/(1−β₂ᵗ)`.
 //! A step may cover a part of the buffers (`offset`, `len`): a frame's pose moves only in the steps that saw the frame,
 //! and counts its own `t`.
+//!
+//! **Uniform Adam** ([`UniformAdam`], Nicolet et al. 2021) is for vertex fields `[V, 3]`: its second moment is one number,
+//! the running mean of the largest |gᵢ|² over the vertices. Adam's own would scale the gradients of hardly seen vertices up
+//! to those of well seen ones, and a smooth gradient would not stay smooth.
 
 pub mod cpu;
 mod gpu;
+mod uniform;
 
 pub use gpu::Adam;
+pub use uniform::UniformAdam;
 
 /// The constants of a group.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -1,4 +1,4 @@
-use super::{Adam, AdamConfig, cpu};
+use super::{Adam, AdamConfig, UniformAdam, cpu};
 use crate::ops::testing::{VALUE, assert_close, golden, gpu};
 
 struct Golden {
@@ -69,4 +69,31 @@ fn gpu_leaves_what_lies_outside_the_range() {
         let want = if (3..5).contains(&i) { 0.9 } else { 1.0 };
         assert!((x - want).abs() < 1e-6, "params[{i}] = {x}, expected {want}");
     }
+}
+
+#[test]
+fn uniform_gpu_matches_the_twin() {
+    let Some(gpu) = gpu("adam::uniform_gpu_matches_the_twin") else { return };
+    let n = 1000;
+    let config = AdamConfig::default();
+    let mut want = vec![0.0f32; 3 * n];
+    let (mut m, mut v) = (vec![0.0f32; 3 * n], 0.0f32);
+    let params = gpu.zeros("params", 3 * n);
+    let adam = UniformAdam::new(&gpu, "test", n, config);
+    for t in 1..=3u32 {
+        let grads: Vec<f32> = (0..3 * n).map(|i| ((i as u32 * 2_654_435_761 + t) >> 20) as f32 - 2048.0).collect();
+        cpu::uniform_step(&config, 0.1, t, &mut want, &grads, &mut m, &mut v);
+        let grads = gpu.upload("grads", &grads);
+        let mut recorder = gpu.recorder("adam/test");
+        adam.step(&mut recorder, &params, &grads, 0.1, t);
+        recorder.submit().unwrap();
+        assert_close("params", &gpu.read(&params).unwrap(), &want, 1e-5);
+    }
+}
+
+#[test]
+fn uniform_steps_keep_the_gradient_s_proportions() {
+    let (mut params, mut m, mut v) = (vec![0.0f64; 6], vec![0.0; 6], 0.0);
+    cpu::uniform_step(&AdamConfig::default(), 0.1, 1, &mut params, &[3.0, 4.0, 0.0, 0.0, 0.0, 0.5], &mut m, &mut v);
+    assert_close("params", &params, &[-0.06, -0.08, 0.0, 0.0, 0.0, -0.01], 1e-6);
 }
