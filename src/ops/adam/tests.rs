@@ -81,7 +81,9 @@ fn uniform_gpu_matches_the_twin() {
     let params = gpu.zeros("params", 3 * n);
     let adam = UniformAdam::new(&gpu, "test", n, config);
     for t in 1..=3u32 {
-        let grads: Vec<f32> = (0..3 * n).map(|i| ((i as u32 * 2_654_435_761 + t) >> 20) as f32 - 2048.0).collect();
+        let grads: Vec<f32> = (0..3 * n)
+            .map(|i| ((i as u32).wrapping_mul(2_654_435_761).wrapping_add(t) >> 20) as f32 - 2048.0)
+            .collect();
         cpu::uniform_step(&config, 0.1, t, &mut want, &grads, &mut m, &mut v);
         let grads = gpu.upload("grads", &grads);
         let mut recorder = gpu.recorder("adam/test");
