@@ -22,3 +22,34 @@ pub struct Camera {
 fn identity() -> [f64; 9] {
     [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 }
+
+impl Camera {
+    /// The camera of the part of its image that starts at pixel (`x`, `y`); both may be negative.
+    pub fn cropped(&self, x: i32, y: i32, width: u32, height: u32) -> Camera {
+        Camera { width, height, cx: self.cx - f64::from(x), cy: self.cy - f64::from(y), ..self.clone() }
+    }
+
+    /// The camera of its image resampled to `width` × `height`.
+    pub fn scaled(&self, width: u32, height: u32) -> Camera {
+        let x = f64::from(width) / f64::from(self.width);
+        let y = f64::from(height) / f64::from(self.height);
+        Camera { width, height, fx: self.fx * x, fy: self.fy * y, cx: self.cx * x, cy: self.cy * y, ..self.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_point_keeps_its_place_in_crops_and_scaled_images() {
+        let camera: Camera =
+            serde_json::from_str(r#"{"width": 640, "height": 480, "fx": 500, "fy": 510, "cx": 321, "cy": 242}"#)
+                .unwrap();
+        let pixel = |c: &Camera| [c.fx * 0.1 + c.cx, c.fy * -0.2 + c.cy];
+        let [u, v] = pixel(&camera);
+        assert_eq!(pixel(&camera.cropped(100, -20, 64, 64)), [u - 100.0, v + 20.0]);
+        let [a, b] = pixel(&camera.scaled(320, 120));
+        assert!((a - u / 2.0).abs() < 1e-12 && (b - v / 4.0).abs() < 1e-12);
+    }
+}

@@ -12,6 +12,8 @@ use std::fmt::Write;
 /// The import-only sources.
 const SHARED: &[(&str, &str)] = &[
     ("shared/linear_index", include_str!("../../shaders/shared/linear_index.wgsl")),
+    ("shared/pinhole", include_str!("../../shaders/shared/pinhole.wgsl")),
+    ("shared/rodrigues", include_str!("../../shaders/shared/rodrigues.wgsl")),
     ("shared/workgroup_sum", include_str!("../../shaders/shared/workgroup_sum.wgsl")),
 ];
 

@@ -15,6 +15,7 @@ pub mod face_area;
 pub mod hard_rasterize;
 pub mod interpolate;
 pub mod keypoints;
+mod linear;
 pub mod nmr;
 pub mod normal_consistency;
 pub mod project;

@@ -30,6 +30,25 @@ pub fn golden(name: &str) -> Npz {
     Npz::open(&folder.join(name)).unwrap_or_else(|e| panic!("{}: {e}", folder.join(name).display()))
 }
 
+/// `n` numbers between −1 and 1, the same in every run.
+pub fn random(seed: u64, n: usize) -> Vec<f64> {
+    use rand::{RngExt, SeedableRng};
+    let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
+    (0..n).map(|_| rng.random_range(-1.0..1.0)).collect()
+}
+
+/// Flat numbers as points.
+pub fn points<T: Copy, const N: usize>(flat: &[T]) -> Vec<[T; N]> {
+    let (points, rest) = flat.as_chunks();
+    assert!(rest.is_empty(), "{} numbers are not points of {N}", flat.len());
+    points.to_vec()
+}
+
+/// The numbers as the device sees them.
+pub fn f32s(x: &[f64]) -> Vec<f32> {
+    x.iter().map(|&x| x as f32).collect()
+}
+
 /// Tolerance of values against the golden ones, and of gradients.
 pub const VALUE: f64 = 1e-4;
 pub const GRADIENT: f64 = 1e-3;

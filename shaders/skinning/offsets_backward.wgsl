@@ -1,0 +1,18 @@
+// grad_offsets += grad_v_deformed; one invocation a coordinate.
+#import shared/linear_index
+
+struct Params {
+    len: u32, // 3V
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> grad_v_deformed: array<f32>;
+@group(0) @binding(2) var<storage, read_write> grad_offsets: array<f32>;
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let i = linear_index(id, groups, 64u);
+    if i < params.len {
+        grad_offsets[i] += grad_v_deformed[i];
+    }
+}
