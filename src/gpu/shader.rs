@@ -1,16 +1,20 @@
-//! WGSL with three directives, each alone on its line:
+//! WGSL with four directives, each alone on its line:
 //!
 //! - `#import shared/NAME` pastes `shaders/shared/NAME.wgsl`, once.
 //! - `#const NAME: TYPE = DEFAULT` becomes `const NAME: TYPE = VALUE;` where the host may give another value; array
 //!   sizes can then depend on it, and no constant is stated twice.
 //! - `#atomic_f32 BUFFER` makes `fn BUFFER_add(i: u32, value: f32)` for a storage binding declared as
 //!   `array<atomic_f32>`: native float atomics where the device has them, a compare-and-swap loop where not.
+//! - `#for NAME in FIRST..END` repeats the lines up to its `#end` with `$NAME` replaced by each number; bounds are
+//!   numbers or `#const` names, and repetitions nest. Drivers do not unroll long loops by themselves, and a software
+//!   driver reads memory quickly at constant addresses alone.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::fmt::Write;
 
 /// The import-only sources.
 const SHARED: &[(&str, &str)] = &[
+    ("shared/hash_grid", include_str!("../../shaders/shared/hash_grid.wgsl")),
     ("shared/linear_index", include_str!("../../shaders/shared/linear_index.wgsl")),
     ("shared/pinhole", include_str!("../../shaders/shared/pinhole.wgsl")),
     ("shared/rodrigues", include_str!("../../shaders/shared/rodrigues.wgsl")),
@@ -33,16 +37,16 @@ pub struct Expansion<'a> {
 pub fn expand(label: &str, source: &str, how: Expansion<'_>) -> String {
     let mut out = String::with_capacity(source.len() * 2);
     let mut seen = HashSet::new();
-    let mut used = HashSet::new();
+    let mut used = HashMap::new();
     let alias = if how.float_atomics { "f32" } else { "u32" };
     if source.contains("atomic_f32") {
         writeln!(out, "alias atomic_f32 = atomic<{alias}>;").unwrap();
     }
     paste(label, source, how, &mut seen, &mut used, &mut out);
     for (name, _) in how.constants {
-        assert!(used.contains(*name), "{label}: no #const {name}");
+        assert!(used.contains_key(*name), "{label}: no #const {name}");
     }
-    out
+    unroll(label, &out, &used)
 }
 
 fn paste<'a>(
@@ -50,7 +54,7 @@ fn paste<'a>(
     source: &'a str,
     how: Expansion<'_>,
     seen: &mut HashSet<String>,
-    used: &mut HashSet<&'a str>,
+    used: &mut HashMap<&'a str, String>,
     out: &mut String,
 ) {
     for line in source.lines() {
@@ -64,9 +68,9 @@ fn paste<'a>(
         } else if let Some(rest) = line.strip_prefix("#const ") {
             let (declared, default) = rest.split_once('=').unwrap_or_else(|| panic!("{label}: {line}"));
             let (name, kind) = declared.split_once(':').unwrap_or_else(|| panic!("{label}: {line}"));
-            used.insert(name.trim());
             let given = how.constants.iter().find(|(n, _)| *n == name.trim());
             let value = given.map_or(default.trim(), |(_, value)| value);
+            used.insert(name.trim(), value.to_owned());
             writeln!(out, "const {}: {} = {value};", name.trim(), kind.trim()).unwrap();
         } else if let Some(buffer) = line.strip_prefix("#atomic_f32 ") {
             atomic_add(buffer.trim(), how.float_atomics, out);
@@ -77,13 +81,49 @@ fn paste<'a>(
     }
 }
 
+/// Repeats the lines between `#for` and `#end`.
+fn unroll(label: &str, text: &str, constants: &HashMap<&str, String>) -> String {
+    let mut out = String::with_capacity(text.len() * 2);
+    let mut lines = text.lines();
+    while let Some(line) = lines.next() {
+        let Some(head) = line.trim_start().strip_prefix("#for ") else {
+            out.push_str(line);
+            out.push('\n');
+            continue;
+        };
+        let malformed = || -> ! { panic!("{label}: {line}") };
+        let (name, range) = head.split_once(" in ").unwrap_or_else(|| malformed());
+        let (first, end) = range.split_once("..").unwrap_or_else(|| malformed());
+        let bound = |text: &str| -> u32 {
+            let value = constants.get(text.trim()).map_or(text.trim(), String::as_str);
+            value.trim_end_matches('u').parse().unwrap_or_else(|_| malformed())
+        };
+        let mut body = String::new();
+        let mut depth = 1;
+        for line in lines.by_ref() {
+            depth += line.trim_start().starts_with("#for ") as i32 - (line.trim() == "#end") as i32;
+            if depth == 0 {
+                break;
+            }
+            body.push_str(line);
+            body.push('\n');
+        }
+        assert!(depth == 0, "{label}: no #end for {line}");
+        for i in bound(first)..bound(end) {
+            let round = body.replace(&format!("${}", name.trim()), &i.to_string());
+            out.push_str(&unroll(label, &round, constants));
+        }
+    }
+    out
+}
+
 fn atomic_add(buffer: &str, native: bool, out: &mut String) {
     let body = if native {
         format!("    atomicAdd(&{buffer}[i], value);\n")
     } else {
         format!(
-            "    var old = atomicLoad(&{buffer}[i]);\n    loop {{\n        let new = bitcast<u32>(bitcast<f32>(old) + value);\n        \
-             let result = atomicCompareExchangeWeak(&{buffer}[i], old, new);\n        if result.exchanged {{ break; }}\n        \
+            "    var old = atomicLoad(&{buffer}[i]);\n    loop {{\n        let sum = bitcast<u32>(bitcast<f32>(old) + value);\n        \
+             let result = atomicCompareExchangeWeak(&{buffer}[i], old, sum);\n        if result.exchanged {{ break; }}\n        \
              old = result.old_value;\n    }}\n"
         )
     };
@@ -141,6 +181,13 @@ mod tests {
         let text =
             expand("t", "#const N: u32 = 4u\n", Expansion { float_atomics: true, constants: &[("N", "8u".into())] });
         assert_eq!(text, "const N: u32 = 8u;\n");
+    }
+
+    #[test]
+    fn repetitions_nest_and_take_constants() {
+        let text = "#const N: u32 = 2u\n#for I in 0..N\na$I\n  #for J in 1..3\nb$I$J\n  #end\n#end\nc\n";
+        let text = expand("t", text, Expansion { float_atomics: true, constants: &[] });
+        assert_eq!(text, "const N: u32 = 2u;\na0\nb01\nb02\na1\nb11\nb12\nc\n");
     }
 
     #[test]

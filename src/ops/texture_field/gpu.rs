@@ -1,0 +1,284 @@
+//! Host side of `shaders/texture_field/`.
+
+use std::sync::Arc;
+
+use super::layout::Layout;
+use super::{FEATURES, MAX_LEVELS, TextureFieldConfig, TextureFieldError, TextureFieldParams};
+use crate::gpu::{AnyBuffer, Buffer, Gpu, GpuError, Kernel, Recorder, linear_groups};
+
+/// Pixels that one partial sum of the weights' gradient covers.
+const CHUNK: usize = 256;
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct LevelUniform {
+    scale: f32,
+    resolution: u32,
+    offset: u32,
+    entries: u32,
+    hashed: u32,
+    pad: [u32; 3],
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct EncodeParams {
+    n_max: u32,
+    n_levels: u32,
+    pad: [u32; 2],
+    levels: [LevelUniform; MAX_LEVELS],
+}
+
+/// `(n_max, weights4, offset4, padding)`; each kernel reads as many as it declares.
+type Params = [u32; 4];
+
+struct Kernels {
+    encode_forward: Arc<Kernel>,
+    mlp_forward: Arc<Kernel>,
+    mlp_backward: Arc<Kernel>,
+    encode_backward: Arc<Kernel>,
+    weight_gradient: [Arc<Kernel>; 3],
+    weight_reduce: Arc<Kernel>,
+}
+
+/// What the last forward and backward passes left for each other.
+struct Activations {
+    encoded: Buffer<f32>,
+    hidden0: Buffer<f32>,
+    hidden1: Buffer<f32>,
+    delta0: Buffer<f32>,
+    delta1: Buffer<f32>,
+    delta2: Buffer<f32>,
+    grad_encoded: Buffer<f32>,
+    partial: Buffer<f32>,
+}
+
+/// A field with its gradients on the device, for up to `capacity` coordinates a pass.
+pub struct TextureField {
+    config: TextureFieldConfig,
+    layout: Layout,
+    capacity: usize,
+    encode_params: EncodeParams,
+    kernels: Kernels,
+    activations: Activations,
+    /// `[entries, 2]`
+    pub table: Buffer<f32>,
+    /// All layers, in the device's order.
+    pub weights: Buffer<f32>,
+    pub grad_table: Buffer<f32>,
+    pub grad_weights: Buffer<f32>,
+    /// `[capacity, 3]`, the last forward pass's result.
+    pub rgb: Buffer<f32>,
+}
+
+impl TextureField {
+    /// Uploads `params`; errors when they do not fit `config`.
+    pub fn new(
+        gpu: &Gpu,
+        config: TextureFieldConfig,
+        params: &TextureFieldParams,
+        capacity: usize,
+    ) -> Result<Self, TextureFieldError> {
+        params.validate(&config)?;
+        let layout = Layout::new(&config);
+        let (encoded, hidden) = (4 * layout.encoded4 * capacity, 4 * layout.hidden4 * capacity);
+        let scratch = |name: &str, len: usize| gpu.zeros::<f32>(&format!("texture_field/{name}"), len);
+        Ok(Self {
+            config,
+            layout,
+            capacity,
+            encode_params: encode_params(&config),
+            kernels: kernels(gpu, &layout),
+            activations: Activations {
+                encoded: scratch("encoded", encoded),
+                hidden0: scratch("hidden0", hidden),
+                hidden1: scratch("hidden1", hidden),
+                delta0: scratch("delta0", hidden),
+                delta1: scratch("delta1", hidden),
+                delta2: scratch("delta2", 4 * capacity),
+                grad_encoded: scratch("grad_encoded", encoded),
+                partial: scratch("partial", capacity.div_ceil(CHUNK) * 4 * layout.weights4()),
+            },
+            table: gpu.upload("texture_field/table", &params.table),
+            weights: gpu.upload("texture_field/weights", &layout.pack(params)),
+            grad_table: scratch("grad_table", params.table.len()),
+            grad_weights: scratch("grad_weights", 4 * layout.weights4()),
+            rgb: scratch("rgb", 3 * capacity),
+        })
+    }
+
+    pub fn config(&self) -> &TextureFieldConfig {
+        &self.config
+    }
+
+    /// The most coordinates of a pass.
+    pub fn capacity(&self) -> usize {
+        self.capacity
+    }
+
+    /// Records `rgb` of the first `min(count, n_max)` coordinates.
+    ///
+    /// # Panics
+    /// When `n_max` is above the capacity or above the coordinates.
+    pub fn forward(&self, recorder: &mut Recorder<'_>, coords: &Buffer<f32>, count: &Buffer<u32>, n_max: usize) {
+        assert!(n_max <= self.capacity && 3 * n_max <= coords.len(), "texture_field: {n_max} coordinates");
+        let a = &self.activations;
+        let encode = EncodeParams { n_max: n_max as u32, ..self.encode_params };
+        let buffers: [&dyn AnyBuffer; 4] = [count, coords, &self.table, &a.encoded];
+        recorder.dispatch(&self.kernels.encode_forward, &encode, &buffers, linear_groups(n_max, 64));
+        let params: Params = [n_max as u32, 0, 0, 0];
+        let buffers: [&dyn AnyBuffer; 6] = [count, &self.weights, &a.encoded, &a.hidden0, &a.hidden1, &self.rgb];
+        recorder.dispatch(&self.kernels.mlp_forward, &params, &buffers, linear_groups(n_max, 64));
+    }
+
+    /// Records the backward pass of the last [`forward`](Self::forward), with the same arguments: adds to `grad_table`,
+    /// `grad_weights` and `grad_coords [P, 3]` what `grad_rgb [P, 3]` says.
+    ///
+    /// # Panics
+    /// As `forward`, and when a gradient is shorter than `n_max`.
+    pub fn backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        coords: &Buffer<f32>,
+        count: &Buffer<u32>,
+        n_max: usize,
+        grad_rgb: &Buffer<f32>,
+        grad_coords: &Buffer<f32>,
+    ) {
+        let shortest = [self.capacity, coords.len() / 3, grad_rgb.len() / 3, grad_coords.len() / 3];
+        assert!(shortest.iter().all(|&len| n_max <= len), "texture_field: {n_max} coordinates of {shortest:?}");
+        let a = &self.activations;
+        let weights4 = self.layout.weights4();
+        let params = |offset4: usize| -> Params { [n_max as u32, weights4 as u32, offset4 as u32, 0] };
+        let buffers: [&dyn AnyBuffer; 10] = [
+            count,
+            &self.weights,
+            &a.hidden0,
+            &a.hidden1,
+            &self.rgb,
+            grad_rgb,
+            &a.delta0,
+            &a.delta1,
+            &a.delta2,
+            &a.grad_encoded,
+        ];
+        recorder.dispatch(&self.kernels.mlp_backward, &params(0), &buffers, linear_groups(n_max, 64));
+        let layers = [(&a.encoded, &a.delta0), (&a.hidden0, &a.delta1), (&a.hidden1, &a.delta2)];
+        for (layer, (inputs, deltas)) in layers.into_iter().enumerate() {
+            let (inputs4, outputs4) = self.layer4(layer);
+            let tiles = inputs4 / tile(inputs4) * (outputs4 / tile(outputs4));
+            let groups = [tiles.div_ceil(8) as u32, n_max.div_ceil(CHUNK) as u32, 1];
+            let buffers: [&dyn AnyBuffer; 4] = [count, inputs, deltas, &a.partial];
+            let offset4 = self.layout.offsets4()[layer];
+            recorder.dispatch(&self.kernels.weight_gradient[layer], &params(offset4), &buffers, groups);
+        }
+        let buffers: [&dyn AnyBuffer; 3] = [count, &a.partial, &self.grad_weights];
+        recorder.dispatch(&self.kernels.weight_reduce, &params(0), &buffers, [weights4.div_ceil(64) as u32, 1, 1]);
+        let encode = EncodeParams { n_max: n_max as u32, ..self.encode_params };
+        let buffers: [&dyn AnyBuffer; 6] = [count, coords, &self.table, &a.grad_encoded, &self.grad_table, grad_coords];
+        recorder.dispatch(&self.kernels.encode_backward, &encode, &buffers, linear_groups(n_max, 64));
+    }
+
+    /// Records zeros into `grad_table` and `grad_weights`.
+    pub fn clear_gradients(&self, recorder: &mut Recorder<'_>) {
+        recorder.clear(&self.grad_table);
+        recorder.clear(&self.grad_weights);
+    }
+
+    /// The parameters as they are now.
+    pub fn params(&self, gpu: &Gpu) -> Result<TextureFieldParams, GpuError> {
+        self.unpack(gpu.read(&self.table)?, &gpu.read(&self.weights)?)
+    }
+
+    /// The gradients as they are now.
+    pub fn gradients(&self, gpu: &Gpu) -> Result<TextureFieldParams, GpuError> {
+        self.unpack(gpu.read(&self.grad_table)?, &gpu.read(&self.grad_weights)?)
+    }
+
+    /// `rgb [N, 3]` of any number of `coords [N, 3]`, in passes of the capacity. Waits.
+    pub fn eval_points(&self, gpu: &Gpu, coords: &[f32]) -> Result<Vec<f32>, GpuError> {
+        let mut rgb = Vec::with_capacity(coords.len());
+        let buffer = gpu.zeros::<f32>("texture_field/eval_coords", 3 * self.capacity);
+        for coords in coords.chunks(3 * self.capacity) {
+            let n = coords.len() / 3;
+            gpu.write(&buffer, 0, coords);
+            let count = gpu.upload("texture_field/eval_count", &[n as u32]);
+            let mut recorder = gpu.recorder("texture_field/eval_points");
+            self.forward(&mut recorder, &buffer, &count, n);
+            recorder.submit()?;
+            rgb.extend(&gpu.read(&self.rgb)?[..coords.len()]);
+        }
+        Ok(rgb)
+    }
+
+    fn unpack(&self, table: Vec<f32>, weights: &[f32]) -> Result<TextureFieldParams, GpuError> {
+        let [w0, w1, w2] = self.layout.unpack(weights);
+        Ok(TextureFieldParams { table, w0, w1, w2 })
+    }
+
+    /// Inputs and outputs of a layer, in vectors of four.
+    fn layer4(&self, layer: usize) -> (usize, usize) {
+        layer4(&self.layout, layer)
+    }
+}
+
+fn layer4(layout: &Layout, layer: usize) -> (usize, usize) {
+    [(layout.encoded4, layout.hidden4), (layout.hidden4, layout.hidden4), (layout.hidden4, 1)][layer]
+}
+
+/// Vectors along one side of a tile of the weights' gradient.
+fn tile(width4: usize) -> usize {
+    if width4.is_multiple_of(2) { 2 } else { 1 }
+}
+
+fn encode_params(config: &TextureFieldConfig) -> EncodeParams {
+    let mut params: EncodeParams = bytemuck::Zeroable::zeroed();
+    params.n_levels = config.n_levels as u32;
+    for (uniform, level) in params.levels.iter_mut().zip(config.levels()) {
+        *uniform = LevelUniform {
+            scale: level.scale as f32,
+            resolution: level.resolution,
+            offset: level.offset,
+            entries: level.entries,
+            hashed: level.hashed as u32,
+            pad: [0; 3],
+        };
+    }
+    debug_assert_eq!(config.n_features_per_level, FEATURES);
+    params
+}
+
+fn kernels(gpu: &Gpu, layout: &Layout) -> Kernels {
+    macro_rules! kernel {
+        ($name:literal, $constants:expr) => {
+            gpu.kernel(
+                concat!("texture_field/", $name),
+                include_str!(concat!("../../../shaders/texture_field/", $name, ".wgsl")),
+                $constants,
+            )
+        };
+    }
+    let encoded4 = ("ENCODED4", format!("{}u", layout.encoded4));
+    let hidden4 = ("HIDDEN4", format!("{}u", layout.hidden4));
+    let chunk = ("CHUNK", format!("{CHUNK}u"));
+    let weight_gradient = |layer: usize| {
+        let (inputs4, outputs4) = layer4(layout, layer);
+        let constants = [
+            ("INPUTS4", format!("{inputs4}u")),
+            ("OUTPUTS4", format!("{outputs4}u")),
+            ("TILE_I", format!("{}u", tile(inputs4))),
+            ("TILE_O", format!("{}u", tile(outputs4))),
+            chunk.clone(),
+        ];
+        kernel!("weight_gradient", &constants)
+    };
+    let widths = [encoded4.clone(), hidden4];
+    Kernels {
+        encode_forward: kernel!("encode_forward", std::slice::from_ref(&encoded4)),
+        mlp_forward: kernel!("mlp_forward", &widths),
+        mlp_backward: kernel!("mlp_backward", &widths),
+        encode_backward: kernel!("encode_backward", std::slice::from_ref(&encoded4)),
+        weight_gradient: [0, 1, 2].map(weight_gradient),
+        weight_reduce: kernel!("weight_reduce", std::slice::from_ref(&chunk)),
+    }
+}
