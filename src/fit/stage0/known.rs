@@ -1,0 +1,102 @@
+//! Clips that come with poses: the fit keeps to them and finds the shape.
+
+use glam::{DMat3, DVec3};
+
+use super::rotation;
+use super::setup;
+use super::sides;
+use super::state::{Frame, State};
+use super::{Candidate, Stage0Error, Stage0Report};
+use crate::body::{Body, N_JOINTS};
+use crate::capture::{Capture, KnownPoses};
+
+/// Steps of the search for a shift that all frames share, and its spread, metres.
+const SHIFT_STEPS: usize = 12;
+const SHIFT_SIGMA: f64 = 0.15;
+/// Shifts below this are the fit's own business, metres.
+const SHIFT_OF_NOTE: f64 = 0.03;
+
+/// The clip with its poses as start and anchor.
+pub fn candidate(
+    body: &Body,
+    capture: &Capture,
+    known: &KnownPoses,
+    report: &mut Stage0Report,
+) -> Result<Candidate, Stage0Error> {
+    let mut problem = setup::problem(body, capture)?;
+    let n = capture.frames.len();
+    if known.poses.len() != n || known.trans.len() != n {
+        return Err(Stage0Error::PoseCount { found: known.poses.len().min(known.trans.len()), expected: n });
+    }
+    let mut shared = setup::mean_shape(body.n_betas);
+    if let Some(betas) = known.betas.as_ref().filter(|b| b.len() == body.n_betas) {
+        shared.betas = betas.iter().map(|b| f64::from(*b)).collect();
+    }
+    let rest_pelvis = if known.is_pelvis { DVec3::ZERO } else { problem.rig.rest_joints(&shared.betas)[0] };
+    let to_camera = camera_rotation(capture);
+    let camera_shift = DVec3::from_array(capture.camera.translation);
+    let mut frames = Vec::with_capacity(n);
+    for (t, (pose, trans)) in known.poses.iter().zip(&known.trans).enumerate() {
+        if pose.len() != 3 * N_JOINTS {
+            return Err(Stage0Error::PoseLength { frame: t, found: pose.len() });
+        }
+        let theta: [DVec3; N_JOINTS] =
+            std::array::from_fn(|j| DVec3::from_array([0, 1, 2].map(|a| f64::from(pose[3 * j + a]))));
+        let pelvis = DVec3::from_array(trans.map(f64::from)) + rest_pelvis;
+        frames.push(Frame {
+            root: to_camera * rotation::exp(theta[0]),
+            pelvis: to_camera * pelvis + camera_shift,
+            turn_rate: 0.0,
+            theta,
+        });
+    }
+    let mut state = State { frames, shared };
+    let mut scales = setup::rough_scales(&problem, &state);
+    if !known.is_pelvis {
+        let shift = common_shift(&problem, &state, scales.sigma_px);
+        if shift.length() > SHIFT_OF_NOTE {
+            state.frames.iter_mut().for_each(|f| f.pelvis += shift);
+            report.notes.push(format!(
+                "poses: `trans` moved by {:.2} {:.2} {:.2} m to meet the keypoints: it seems to belong to a body \
+                 with another pelvis",
+                shift.x, shift.y, shift.z
+            ));
+        }
+    }
+    scales.sigma_px = sides::noise(&problem, &state, &scales);
+    problem.anchor = Some(state.frames.clone());
+    Ok(Candidate { problem, state, swapped: vec![[false; 3]; n], scales, cost: f64::INFINITY })
+}
+
+/// From the capture's world to its camera.
+pub fn camera_rotation(capture: &Capture) -> DMat3 {
+    DMat3::from_cols_array(&capture.camera.rotation).transpose()
+}
+
+/// A displacement in camera space that brings all frames nearer to their keypoints: Gauss–Newton with
+/// Geman–McClure weights.
+fn common_shift(problem: &super::problem::Problem, start: &State, sigma_px: f64) -> DVec3 {
+    let mut state = start.clone();
+    let mut shift = DVec3::ZERO;
+    for _ in 0..SHIFT_STEPS {
+        let mut h = DMat3::from_diagonal(DVec3::splat(1.0 / (SHIFT_SIGMA * SHIFT_SIGMA)));
+        let mut g = shift / (SHIFT_SIGMA * SHIFT_SIGMA);
+        for (t, frame) in state.frames.iter().enumerate() {
+            let posed = problem.rig.pose(frame, &state.shared);
+            for (k, seen) in problem.observations[t].iter().enumerate().filter(|(_, o)| o.weight > 0.0) {
+                let place = posed.place(&problem.points[k], &state.shared.betas, DVec3::ZERO);
+                let error = problem.camera.project(place) - seen.at;
+                let share = 9.0 / (error.length_squared() / (sigma_px * sigma_px) + 9.0);
+                let weight = seen.weight * share * share / (sigma_px * sigma_px);
+                for (slope, residual) in problem.camera.slopes(place).into_iter().zip(error.to_array()) {
+                    h += DMat3::from_cols(slope * slope.x, slope * slope.y, slope * slope.z) * weight;
+                    g += slope * (weight * residual);
+                }
+            }
+        }
+        let step = -(h.inverse() * g);
+        shift += step;
+        state.frames.iter_mut().for_each(|f| f.pelvis += step);
+    }
+    shift
+}

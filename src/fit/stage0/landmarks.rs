@@ -1,0 +1,156 @@
+//! What the points of each keypoint format stand for.
+
+/// A place on the body that detectors look for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    Nose,
+    Eye,
+    Ear,
+    Neck,
+    Shoulder,
+    Elbow,
+    Wrist,
+    MidHip,
+    Hip,
+    Knee,
+    Ankle,
+    BigToe,
+    SmallToe,
+    Heel,
+}
+
+/// Which limbs a detector swaps together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Group {
+    Face,
+    Arms,
+    Legs,
+}
+
+pub const GROUPS: [Group; 3] = [Group::Face, Group::Arms, Group::Legs];
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Landmark {
+    pub part: Part,
+    /// +1 the person's left, −1 the right, 0 in the middle.
+    pub side: f64,
+    /// The same part on the other side; its own index in the middle.
+    pub partner: usize,
+}
+
+/// Parts whose place differs between detectors, rigs and heads: their offsets on the body are fitted too.
+pub const N_OFFSETS: usize = 7;
+
+impl Part {
+    pub fn group(self) -> Group {
+        match self {
+            Part::Nose | Part::Eye | Part::Ear | Part::Neck => Group::Face,
+            Part::Shoulder | Part::Elbow | Part::Wrist => Group::Arms,
+            _ => Group::Legs,
+        }
+    }
+
+    /// Information of one detection relative to a limb's. Hips and shoulders are placed elsewhere by detectors
+    /// than by rigs; with their fitted offsets they still tell the facing.
+    pub fn weight(self) -> f64 {
+        match self {
+            Part::Elbow | Part::Wrist | Part::Knee | Part::Ankle | Part::Nose => 1.0,
+            Part::Eye | Part::Ear | Part::Shoulder | Part::Hip => 0.5,
+            Part::Neck | Part::MidHip | Part::BigToe | Part::SmallToe | Part::Heel => 0.3,
+        }
+    }
+
+    /// Which fitted offset the part has.
+    pub fn offset(self) -> Option<usize> {
+        match self {
+            Part::Nose => Some(0),
+            Part::Eye => Some(1),
+            Part::Ear => Some(2),
+            Part::Neck => Some(3),
+            Part::Shoulder => Some(4),
+            Part::MidHip => Some(5),
+            Part::Hip => Some(6),
+            _ => None,
+        }
+    }
+}
+
+/// The points of a format in its order, or `None` for a format we do not know.
+pub fn landmarks(format: &str) -> Option<Vec<Landmark>> {
+    use Part::*;
+    let (l, r, m) = (1.0, -1.0, 0.0);
+    let points: &[(Part, f64)] = match format {
+        "coco17" => &[
+            (Nose, m),
+            (Eye, l),
+            (Eye, r),
+            (Ear, l),
+            (Ear, r),
+            (Shoulder, l),
+            (Shoulder, r),
+            (Elbow, l),
+            (Elbow, r),
+            (Wrist, l),
+            (Wrist, r),
+            (Hip, l),
+            (Hip, r),
+            (Knee, l),
+            (Knee, r),
+            (Ankle, l),
+            (Ankle, r),
+        ],
+        "coco18" => &[
+            (Nose, m),
+            (Neck, m),
+            (Shoulder, r),
+            (Elbow, r),
+            (Wrist, r),
+            (Shoulder, l),
+            (Elbow, l),
+            (Wrist, l),
+            (Hip, r),
+            (Knee, r),
+            (Ankle, r),
+            (Hip, l),
+            (Knee, l),
+            (Ankle, l),
+            (Eye, r),
+            (Eye, l),
+            (Ear, r),
+            (Ear, l),
+        ],
+        "body25" => &[
+            (Nose, m),
+            (Neck, m),
+            (Shoulder, r),
+            (Elbow, r),
+            (Wrist, r),
+            (Shoulder, l),
+            (Elbow, l),
+            (Wrist, l),
+            (MidHip, m),
+            (Hip, r),
+            (Knee, r),
+            (Ankle, r),
+            (Hip, l),
+            (Knee, l),
+            (Ankle, l),
+            (Eye, r),
+            (Eye, l),
+            (Ear, r),
+            (Ear, l),
+            (BigToe, l),
+            (SmallToe, l),
+            (Heel, l),
+            (BigToe, r),
+            (SmallToe, r),
+            (Heel, r),
+        ],
+        _ => return None,
+    };
+    let partner = |k: usize| {
+        let (part, side) = points[k];
+        points.iter().position(|&(p, s)| p == part && s == -side).unwrap_or(k)
+    };
+    Some(points.iter().enumerate().map(|(k, &(part, side))| Landmark { part, side, partner: partner(k) }).collect())
+}

@@ -1,0 +1,189 @@
+//! Stage 0: body pose, shape and place of a person who turns in front of one camera, from 2D keypoints and
+//! masks alone, on the CPU.
+//!
+//! One nonlinear least-squares problem over all frames: keypoints under a Geman–McClure loss (Bogo et al. 2016),
+//! the mask's edge, a standing prior with joint limits, and smoothness that expects a steady turn
+//! (`problem`). Its normal equations are an arrow on a block tridiagonal and are solved directly (`normal`).
+//! Because the problem has many minima, it starts from a search over facings, directions of the turn and
+//! swapped sides (`placement`), and frames are read anew between the rounds of descent (`sides`).
+//!
+//! What one camera cannot tell: the absolute size. Scaling the body and its distance together leaves every image
+//! as it was, so size comes from the shape prior.
+
+mod contour;
+mod known;
+mod landmarks;
+mod minimise;
+mod normal;
+mod placement;
+mod prior;
+mod problem;
+mod report;
+mod rig;
+mod rotation;
+mod setup;
+mod sides;
+mod state;
+#[cfg(test)]
+mod synthetic;
+#[cfg(test)]
+mod tests;
+
+use crate::body::Body;
+use crate::camera::Camera;
+use crate::capture::Capture;
+use minimise::minimise;
+use problem::{Problem, Scales};
+use state::State;
+
+/// What can be set. The defaults suit a clip of one turn.
+#[derive(Clone, Debug)]
+pub struct Stage0Options {
+    /// Fit the outline to the masks after the keypoints.
+    pub use_masks: bool,
+    /// Most descent steps in one round.
+    pub iterations: usize,
+}
+
+impl Default for Stage0Options {
+    fn default() -> Self {
+        Self { use_masks: true, iterations: 12 }
+    }
+}
+
+/// Body parameters of every frame, in the world of the capture's camera.
+#[derive(Clone, Debug)]
+pub struct Stage0Result {
+    /// `[B]`
+    pub betas: Vec<f32>,
+    /// `[N][72]`
+    pub poses: Vec<[f32; 72]>,
+    /// `[N]`: SMPL's `transl`, metres; the pelvis joint ends at `J0(betas) + transl`.
+    pub transl: Vec<[f32; 3]>,
+    /// The capture's, with the focal length found where it was estimated.
+    pub camera: Camera,
+    pub report: Stage0Report,
+}
+
+/// How the fit went.
+#[derive(Clone, Debug, Default)]
+pub struct Stage0Report {
+    /// `[N]`: root mean square distance of the kept keypoints, pixels; NaN where a frame has none.
+    pub residual_px: Vec<f32>,
+    /// The keypoints' noise as found, pixels.
+    pub sigma_px: f32,
+    /// Detections that the fit disbelieves: frame and keypoint, as given.
+    pub dropped: Vec<(usize, usize)>,
+    /// Frames of which some limbs or the face were read with sides swapped.
+    pub swapped: Vec<usize>,
+    /// Degrees from the first frame to the last; positive turns point the left side away first.
+    pub turn_degrees: f32,
+    /// Cost at the end of every round; rounds differ in their robust scales.
+    pub costs: Vec<f64>,
+    /// Mean overlap of the fitted outline with the masks, 0..1; 0 where masks were not used.
+    pub mask_iou: f32,
+    /// What people should know, one line each.
+    pub notes: Vec<String>,
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum Stage0Error {
+    #[error("the clip has no frames")]
+    NoFrames,
+    #[error("keypoint format {0:?} is not known to body {1:?}; expected coco17, coco18 or body25")]
+    UnknownFormat(String, String),
+    #[error("frame {frame}: {found} keypoints, expected {expected}")]
+    KeypointCount { frame: usize, found: usize, expected: usize },
+    #[error("no frame shows enough of a standing person: at least a head or shoulder and a leg are needed")]
+    NobodyFound,
+    #[error("poses: frame {frame}: {found} values, expected 72")]
+    PoseLength { frame: usize, found: usize },
+    #[error("poses: {found} frames, expected {expected}")]
+    PoseCount { found: usize, expected: usize },
+    #[error("the fit diverged; the keypoints may not belong to this video")]
+    Diverged,
+    #[error("stopped")]
+    Stopped,
+}
+
+/// A reading of the clip and its descent so far.
+struct Candidate {
+    problem: Problem,
+    state: State,
+    swapped: Vec<[bool; 3]>,
+    scales: Scales,
+    cost: f64,
+}
+
+/// Fits the clip. `progress` hears fractions of the work done and answers whether to go on.
+///
+/// # Errors
+/// See [`Stage0Error`]; `Stopped` where `progress` said so.
+pub fn solve(
+    body: &Body,
+    capture: &Capture,
+    options: &Stage0Options,
+    progress: &mut dyn FnMut(f32) -> bool,
+) -> Result<Stage0Result, Stage0Error> {
+    let mut report = Stage0Report::default();
+    let mut candidates = match &capture.poses {
+        Some(known) => vec![known::candidate(body, capture, known, &mut report)?],
+        None => setup::candidates(body, capture)?,
+    };
+    let rounds = ROUGH_ROUNDS * candidates.len() + FINE_ROUNDS + if options.use_masks { contour::ROUNDS } else { 0 };
+    let mut done = 0;
+    let mut step = || {
+        done += 1;
+        progress((done as f32 / (rounds * options.iterations.max(1)) as f32).min(1.0))
+    };
+    for candidate in &mut candidates {
+        for round in 0..ROUGH_ROUNDS {
+            if round > 0 {
+                candidate.tighten(ROUGH_RHO);
+            }
+            candidate.descend(options.iterations, 1e-3, &mut step)?;
+        }
+    }
+    let mut best = candidates.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).ok_or(Stage0Error::NobodyFound)?;
+    report.costs.push(best.cost);
+    for _ in 0..FINE_ROUNDS {
+        best.tighten(FINE_RHO);
+        best.descend(options.iterations, 1e-4, &mut step)?;
+        report.costs.push(best.cost);
+    }
+    if options.use_masks {
+        contour::refine(&mut best, body, capture, options.iterations, &mut report, &mut step)?;
+    }
+    if !best.cost.is_finite() {
+        return Err(Stage0Error::Diverged);
+    }
+    Ok(report::result(&best, capture, report))
+}
+
+/// Rounds with wide scales, to tell the readings apart, and rounds that settle the noise.
+const ROUGH_ROUNDS: usize = 2;
+const FINE_ROUNDS: usize = 3;
+const ROUGH_RHO: f64 = 4.0;
+const FINE_RHO: f64 = 3.0;
+
+impl Candidate {
+    /// Reads sides anew and sets the scales to the residuals' own.
+    fn tighten(&mut self, rho: f64) {
+        if self.problem.anchor.is_none() {
+            sides::reread(&mut self.problem, &self.state, &self.scales, &mut self.swapped);
+        }
+        self.scales.sigma_px = sides::noise(&self.problem, &self.state, &self.scales);
+        self.scales.rho = rho;
+    }
+
+    fn descend(
+        &mut self,
+        iterations: usize,
+        tolerance: f64,
+        go_on: &mut dyn FnMut() -> bool,
+    ) -> Result<(), Stage0Error> {
+        let descent = minimise(&self.problem, self.state.clone(), &self.scales, iterations, tolerance, go_on);
+        (self.state, self.cost) = (descent.state, descent.cost);
+        if descent.finished { Ok(()) } else { Err(Stage0Error::Stopped) }
+    }
+}

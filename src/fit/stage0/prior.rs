@@ -1,0 +1,110 @@
+//! What a standing, slowly turning person's pose is like before anything is seen: means, spreads, joint limits
+//! and how fast each angle drifts.
+
+use glam::DVec3;
+
+use crate::body::N_JOINTS;
+
+/// One joint's prior, in its rotation vector's three components; radians.
+#[derive(Clone, Copy, Debug)]
+pub struct JointPrior {
+    pub joint: usize,
+    pub mean: DVec3,
+    pub sigma: DVec3,
+    /// Spread of the change over one unit of time (a hundredth of the clip).
+    pub drift: f64,
+    pub low: DVec3,
+    pub high: DVec3,
+}
+
+/// Softness of joint limits, radians.
+pub const LIMIT_SIGMA: f64 = 0.03;
+/// How the root's tilt and place drift over one unit of time: radians, parts of the distance.
+pub const TILT_DRIFT: f64 = 0.012;
+pub const PELVIS_DRIFT: f64 = 0.003;
+/// Change of the turn rate over one unit of time, radians a unit.
+pub const TURN_DRIFT: f64 = 0.01;
+/// Spread of the body's up axis about the camera's, radians.
+pub const UPRIGHT_SIGMA: f64 = 0.35;
+/// Spread of fitted keypoint offsets, metres.
+pub const OFFSET_SIGMA: f64 = 0.025;
+
+#[derive(Clone, Debug)]
+pub struct Prior {
+    pub joints: Vec<JointPrior>,
+}
+
+impl Prior {
+    /// An A-pose. Wrists, hands and toes stay at rest: no keypoint tells of them.
+    pub fn standing() -> Self {
+        let v = DVec3::new;
+        let free = 4.0;
+        let pair = |left: usize, mean: DVec3, sigma: DVec3, drift: f64, low: DVec3, high: DVec3| {
+            let right = JointPrior {
+                joint: left + 1,
+                mean: v(mean.x, -mean.y, -mean.z),
+                sigma,
+                drift,
+                low: v(low.x, -high.y, -high.z),
+                high: v(high.x, -low.y, -low.z),
+            };
+            [JointPrior { joint: left, mean, sigma, drift, low, high }, right]
+        };
+        let middle = |joint: usize, sigma: DVec3, drift: f64| JointPrior {
+            joint,
+            mean: DVec3::ZERO,
+            sigma,
+            drift,
+            low: DVec3::splat(-free),
+            high: DVec3::splat(free),
+        };
+        let mut joints = vec![
+            middle(3, v(0.05, 0.04, 0.04), 0.006),
+            middle(6, v(0.05, 0.04, 0.04), 0.006),
+            middle(9, v(0.05, 0.04, 0.04), 0.006),
+            middle(12, v(0.08, 0.08, 0.06), 0.01),
+            middle(15, v(0.12, 0.12, 0.08), 0.01),
+        ];
+        let any = (DVec3::splat(-free), DVec3::splat(free));
+        // Hips: legs a little apart.
+        joints.extend(pair(1, v(0.0, 0.0, 0.1), v(0.25, 0.1, 0.15), 0.015, v(-2.0, -0.8, -0.5), v(0.6, 0.8, 0.9)));
+        // Knees bend backwards only.
+        joints.extend(pair(
+            4,
+            v(0.06, 0.0, 0.0),
+            v(0.25, 0.02, 0.02),
+            0.015,
+            v(-0.05, -free, -free),
+            v(2.4, free, free),
+        ));
+        // Ankles hold the soles to the floor.
+        joints.extend(pair(7, v(0.0, 0.0, -0.1), v(0.1, 0.06, 0.08), 0.01, any.0, any.1));
+        joints.extend(pair(13, v(0.0, 0.0, 0.0), v(0.03, 0.04, 0.05), 0.006, any.0, any.1));
+        // Shoulders: arms some 43° down; a twist only as far as bent elbows ask for it.
+        joints.extend(pair(16, v(0.0, 0.0, -0.75), v(0.25, 0.3, 0.4), 0.02, v(-1.5, -2.0, -1.7), v(1.5, 1.2, 1.6)));
+        // Elbows bend forwards only.
+        joints.extend(pair(
+            18,
+            v(0.0, -0.25, 0.0),
+            v(0.02, 0.3, 0.02),
+            0.02,
+            v(-free, -2.6, -free),
+            v(free, 0.05, free),
+        ));
+        joints.sort_by_key(|p| p.joint);
+        Self { joints }
+    }
+
+    pub fn joints(&self) -> impl Iterator<Item = usize> {
+        self.joints.iter().map(|p| p.joint)
+    }
+
+    /// The mean pose; joints without a prior are at rest.
+    pub fn mean_pose(&self) -> [DVec3; N_JOINTS] {
+        let mut theta = [DVec3::ZERO; N_JOINTS];
+        for p in &self.joints {
+            theta[p.joint] = p.mean;
+        }
+        theta
+    }
+}

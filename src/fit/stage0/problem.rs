@@ -1,0 +1,373 @@
+//! The residuals: keypoints, contours, priors and smoothness, and their share of the normal equations.
+
+use glam::{DMat3, DVec2, DVec3};
+
+use super::landmarks::{Landmark, N_OFFSETS};
+use super::normal::Normal;
+use super::prior::{self, Prior};
+use super::rig::{Point, PointJacobian, Posed, Rig};
+use super::rotation;
+use super::state::{Frame, Layout, Shared, State};
+
+/// A pinhole without distortion, the person in camera space.
+#[derive(Clone, Copy, Debug)]
+pub struct Pinhole {
+    pub fx: f64,
+    pub fy: f64,
+    pub cx: f64,
+    pub cy: f64,
+}
+
+/// Nearest depth that still counts as in front, metres.
+const NEAR: f64 = 0.05;
+
+impl Pinhole {
+    pub fn zoomed(&self, log_focal: f64) -> Self {
+        let zoom = log_focal.exp();
+        Self { fx: self.fx * zoom, fy: self.fy * zoom, ..*self }
+    }
+
+    pub fn project(&self, p: DVec3) -> DVec2 {
+        let z = p.z.max(NEAR);
+        DVec2::new(self.fx * p.x / z + self.cx, self.fy * p.y / z + self.cy)
+    }
+
+    /// Gradients of u and v.
+    pub fn slopes(&self, p: DVec3) -> [DVec3; 2] {
+        let z = p.z.max(NEAR);
+        [DVec3::new(self.fx / z, 0.0, -self.fx * p.x / (z * z)), DVec3::new(0.0, self.fy / z, -self.fy * p.y / (z * z))]
+    }
+}
+
+/// One detection; weight 0 = not seen.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation {
+    pub at: DVec2,
+    pub weight: f64,
+}
+
+/// A point of the model's outline and the mask's edge it should lie on.
+pub struct ContourPoint {
+    /// Index into [`Problem::surface`].
+    pub vertex: usize,
+    pub at: DVec2,
+    /// Out of the mask, unit length.
+    pub normal: DVec2,
+}
+
+/// How sure the image is, in pixels, and from where residuals stop to count.
+#[derive(Clone, Copy, Debug)]
+pub struct Scales {
+    pub sigma_px: f64,
+    /// Geman–McClure's ρ in multiples of σ.
+    pub rho: f64,
+    /// Information of one contour point; 0 switches contours off.
+    pub contour_weight: f64,
+    /// σ of contours outside and inside the mask: clothes and hair make masks larger than the naked body.
+    pub contour_outside_px: f64,
+    pub contour_inside_px: f64,
+}
+
+/// Poses that came with the clip: the fit may move only this far from them (1σ; radians, metres).
+const ANCHOR_ANGLE: f64 = 0.02;
+const ANCHOR_PLACE: f64 = 0.01;
+
+pub struct Problem {
+    pub rig: Rig,
+    pub layout: Layout,
+    pub prior: Prior,
+    pub camera: Pinhole,
+    /// Spread of the focal length's logarithm; tiny where the camera is known.
+    pub focal_sigma: f64,
+    pub landmarks: Vec<Landmark>,
+    pub points: Vec<Point>,
+    /// `[N][K]`
+    pub observations: Vec<Vec<Observation>>,
+    /// `[N − 1]`: time to the next frame, in hundredths of the clip.
+    pub gaps: Vec<f64>,
+    pub surface: Vec<Point>,
+    /// `[N]`, empty before masks are used.
+    pub contours: Vec<Vec<ContourPoint>>,
+    pub anchor: Option<Vec<Frame>>,
+}
+
+/// `½ ρ²q/(q + ρ²)` and its derivative with respect to `½ q`.
+fn geman_mcclure(q: f64, rho: f64) -> (f64, f64) {
+    let r2 = rho * rho;
+    let share = r2 / (q + r2);
+    (0.5 * q * share, share * share)
+}
+
+/// Where a landmark's offset stands, what it is and which of its axes count.
+fn offset_of(landmark: &Landmark, shared: &Shared) -> Option<(usize, DVec3, DVec3)> {
+    let slot = landmark.part.offset()?;
+    Some((slot, shared.offsets[slot], DVec3::new(landmark.side, 1.0, 1.0)))
+}
+
+/// `(x/z, y/z, ln z)` and its Jacobian: in these coordinates a walk costs the same at every size of the scene,
+/// which one camera cannot tell, so that smoothness does not favour small bodies.
+fn relative_place(p: DVec3) -> (DVec3, DMat3) {
+    let z = p.z.max(NEAR);
+    let (x, y) = (p.x / z, p.y / z);
+    (DVec3::new(x, y, z.ln()), DMat3::from_cols(DVec3::X, DVec3::Y, DVec3::new(-x, -y, 1.0)) * (1.0 / z))
+}
+
+/// Buffers of one evaluation.
+#[derive(Default)]
+struct Rows {
+    jacobian: PointJacobian,
+    frame: Vec<(usize, f64)>,
+    shared: Vec<(usize, f64)>,
+}
+
+impl Rows {
+    /// The slopes of `direction · image(point)`.
+    fn along(&mut self, slope: DVec3, focal_column: usize, focal_slope: f64) {
+        self.frame.clear();
+        self.frame.extend(self.jacobian.frame.iter().map(|(c, d)| (*c, slope.dot(*d))));
+        self.shared.clear();
+        self.shared.extend(self.jacobian.shared.iter().map(|(c, d)| (*c, slope.dot(*d))));
+        self.shared.push((focal_column, focal_slope));
+    }
+}
+
+impl Problem {
+    /// The cost of a state; with `normal`, its equations are added.
+    pub fn evaluate(&self, state: &State, scales: &Scales, mut normal: Option<&mut Normal>) -> f64 {
+        let camera = self.camera.zoomed(state.shared.log_focal);
+        let mut rows = Rows::default();
+        let mut cost = self.shared_prior(&state.shared, normal.as_deref_mut());
+        for (t, frame) in state.frames.iter().enumerate() {
+            let posed = self.rig.pose(frame, &state.shared);
+            cost += self.keypoints(t, &posed, state, &camera, scales, &mut rows, normal.as_deref_mut());
+            cost += self.outline(t, &posed, state, &camera, scales, &mut rows, normal.as_deref_mut());
+            cost += match &self.anchor {
+                Some(anchor) => self.anchored(t, frame, &anchor[t], normal.as_deref_mut()),
+                None => self.pose_prior(t, frame, normal.as_deref_mut()),
+            };
+        }
+        if self.anchor.is_none() {
+            for t in 0..self.gaps.len() {
+                cost += self.smoothness(t, state, normal.as_deref_mut());
+            }
+        }
+        cost
+    }
+
+    /// Where every landmark of a posed body appears.
+    pub fn landmarks_at(&self, posed: &Posed, state: &State, camera: &Pinhole) -> Vec<DVec2> {
+        let place = |(landmark, point): (&Landmark, &Point)| {
+            let added = offset_of(landmark, &state.shared).map_or(DVec3::ZERO, |(_, value, factors)| value * factors);
+            camera.project(posed.place(point, &state.shared.betas, added))
+        };
+        self.landmarks.iter().zip(&self.points).map(place).collect()
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one pass over a frame, shared by cost and derivatives")]
+    fn keypoints(
+        &self,
+        t: usize,
+        posed: &Posed,
+        state: &State,
+        camera: &Pinhole,
+        scales: &Scales,
+        rows: &mut Rows,
+        mut normal: Option<&mut Normal>,
+    ) -> f64 {
+        let mut cost = 0.0;
+        let information = 1.0 / (scales.sigma_px * scales.sigma_px);
+        for (k, seen) in self.observations[t].iter().enumerate().filter(|(_, o)| o.weight > 0.0) {
+            let offset = offset_of(&self.landmarks[k], &state.shared);
+            let place = if normal.is_some() {
+                self.rig.differentiate(
+                    posed,
+                    &self.points[k],
+                    &state.shared.betas,
+                    offset,
+                    &self.layout,
+                    &mut rows.jacobian,
+                )
+            } else {
+                let added = offset.map_or(DVec3::ZERO, |(_, value, factors)| value * factors);
+                posed.place(&self.points[k], &state.shared.betas, added)
+            };
+            let image = camera.project(place);
+            let error = image - seen.at;
+            let (value, influence) = geman_mcclure(error.length_squared() * information, scales.rho);
+            cost += seen.weight * value;
+            if let Some(normal) = normal.as_deref_mut() {
+                let weight = seen.weight * influence * information;
+                let [u, v] = camera.slopes(place);
+                rows.along(u, self.layout.focal_column(), image.x - camera.cx);
+                normal.add(t, &rows.frame, &rows.shared, error.x, weight);
+                rows.along(v, self.layout.focal_column(), image.y - camera.cy);
+                normal.add(t, &rows.frame, &rows.shared, error.y, weight);
+            }
+        }
+        cost
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one pass over a frame, shared by cost and derivatives")]
+    fn outline(
+        &self,
+        t: usize,
+        posed: &Posed,
+        state: &State,
+        camera: &Pinhole,
+        scales: &Scales,
+        rows: &mut Rows,
+        mut normal: Option<&mut Normal>,
+    ) -> f64 {
+        let mut cost = 0.0;
+        let points = if scales.contour_weight > 0.0 { self.contours.get(t) } else { None };
+        for contour in points.into_iter().flatten() {
+            let point = &self.surface[contour.vertex];
+            let place = if normal.is_some() {
+                self.rig.differentiate(posed, point, &state.shared.betas, None, &self.layout, &mut rows.jacobian)
+            } else {
+                posed.place(point, &state.shared.betas, DVec3::ZERO)
+            };
+            let image = camera.project(place);
+            let error = contour.normal.dot(image - contour.at);
+            let sigma = if error > 0.0 { scales.contour_outside_px } else { scales.contour_inside_px };
+            let (value, influence) = geman_mcclure(error * error / (sigma * sigma), 3.0);
+            cost += scales.contour_weight * value;
+            if let Some(normal) = normal.as_deref_mut() {
+                let [u, v] = camera.slopes(place);
+                let slope = u * contour.normal.x + v * contour.normal.y;
+                let zoom = contour.normal.dot(image - DVec2::new(camera.cx, camera.cy));
+                rows.along(slope, self.layout.focal_column(), zoom);
+                let weight = scales.contour_weight * influence / (sigma * sigma);
+                normal.add(t, &rows.frame, &rows.shared, error, weight);
+            }
+        }
+        cost
+    }
+
+    fn shared_prior(&self, shared: &Shared, mut normal: Option<&mut Normal>) -> f64 {
+        let mut cost = 0.0;
+        let mut pull = |column: usize, value: f64, sigma: f64| {
+            let weight = 1.0 / (sigma * sigma);
+            cost += 0.5 * weight * value * value;
+            if let Some(normal) = normal.as_deref_mut() {
+                normal.add(0, &[], &[(column, 1.0)], value, weight);
+            }
+        };
+        for (b, beta) in shared.betas.iter().enumerate() {
+            pull(self.layout.beta_column(b), *beta, 1.0);
+        }
+        for slot in 0..N_OFFSETS {
+            for axis in 0..3 {
+                pull(self.layout.offset_column(slot) + axis, shared.offsets[slot][axis], prior::OFFSET_SIGMA);
+            }
+        }
+        pull(self.layout.focal_column(), shared.log_focal, self.focal_sigma);
+        cost
+    }
+
+    fn pose_prior(&self, t: usize, frame: &Frame, mut normal: Option<&mut Normal>) -> f64 {
+        // The body's up axis leans along x and z of its own frame: the camera's up is −y.
+        let up = frame.root.transpose() * DVec3::NEG_Y;
+        let weight = 1.0 / (prior::UPRIGHT_SIGMA * prior::UPRIGHT_SIGMA);
+        let mut cost = 0.5 * weight * (up.x * up.x + up.z * up.z);
+        if let Some(normal) = normal.as_deref_mut() {
+            // d(Rᵀ u) = up × δ
+            let turns = rotation::skew(up);
+            for axis in [0, 2] {
+                let slopes = [0, 1, 2].map(|c| (c, turns.col(c)[axis]));
+                normal.add(t, &slopes, &[], up[axis], weight);
+            }
+        }
+        let mut pull = |column: usize, residual: f64, sigma: f64| {
+            let weight = 1.0 / (sigma * sigma);
+            cost += 0.5 * weight * residual * residual;
+            if let Some(normal) = normal.as_deref_mut() {
+                normal.add(t, &[(column, 1.0)], &[], residual, weight);
+            }
+        };
+        for p in &self.prior.joints {
+            let Some(column) = self.layout.joint_column(p.joint) else { continue };
+            for axis in 0..3 {
+                let angle = frame.theta[p.joint][axis];
+                pull(column + axis, angle - p.mean[axis], p.sigma[axis]);
+                let over = angle - angle.clamp(p.low[axis], p.high[axis]);
+                if over != 0.0 {
+                    pull(column + axis, over, prior::LIMIT_SIGMA);
+                }
+            }
+        }
+        cost
+    }
+
+    fn anchored(&self, t: usize, frame: &Frame, given: &Frame, mut normal: Option<&mut Normal>) -> f64 {
+        let mut cost = 0.0;
+        let mut pull = |column: usize, value: f64, sigma: f64| {
+            let weight = 1.0 / (sigma * sigma);
+            cost += 0.5 * weight * value * value;
+            if let Some(normal) = normal.as_deref_mut() {
+                normal.add(t, &[(column, 1.0)], &[], value, weight);
+            }
+        };
+        // Small turns: the difference's own Jacobian is the identity.
+        let turn = rotation::log(given.root.transpose() * frame.root);
+        for axis in 0..3 {
+            pull(axis, turn[axis], ANCHOR_ANGLE);
+            pull(Layout::PELVIS + axis, frame.pelvis[axis] - given.pelvis[axis], ANCHOR_PLACE);
+        }
+        pull(Layout::TURN_RATE, frame.turn_rate - given.turn_rate, 1.0);
+        for j in self.prior.joints() {
+            let Some(column) = self.layout.joint_column(j) else { continue };
+            for axis in 0..3 {
+                pull(column + axis, frame.theta[j][axis] - given.theta[j][axis], ANCHOR_ANGLE);
+            }
+        }
+        cost
+    }
+
+    /// A random walk of every angle and of the place; the root turns about its own up axis at a rate that
+    /// changes slowly: `log(R_tᵀ R_{t+1}) ≈ (0, rate·Δ, 0)`.
+    fn smoothness(&self, t: usize, state: &State, mut normal: Option<&mut Normal>) -> f64 {
+        let (this, next) = (&state.frames[t], &state.frames[t + 1]);
+        let gap = self.gaps[t];
+        let mut cost = 0.0;
+        let mut tie = |a: &[(usize, f64)], b: &[(usize, f64)], residual: f64, sigma: f64| {
+            let weight = 1.0 / (sigma * sigma * gap);
+            cost += 0.5 * weight * residual * residual;
+            if let Some(normal) = normal.as_deref_mut() {
+                normal.add_pair(t, a, b, residual, weight);
+            }
+        };
+        let turn = rotation::log(this.root.transpose() * next.root);
+        let (into_this, into_next): (DMat3, DMat3) =
+            (-rotation::left_jacobian_inverse(turn), rotation::left_jacobian_inverse(-turn));
+        for axis in 0..3 {
+            let mut a = [0, 1, 2, Layout::TURN_RATE].map(|c| (c, 0.0));
+            let mut b = [(0, 0.0); 3];
+            for c in 0..3 {
+                a[c].1 = into_this.col(c)[axis];
+                b[c] = (c, into_next.col(c)[axis]);
+            }
+            let mut residual = turn[axis];
+            if axis == 1 {
+                residual -= this.turn_rate * gap;
+                a[3].1 = -gap;
+            }
+            tie(&a, &b, residual, prior::TILT_DRIFT);
+        }
+        let (this_place, next_place) = (relative_place(this.pelvis), relative_place(next.pelvis));
+        for axis in 0..3 {
+            let slopes = |of: DMat3, sign: f64| [0, 1, 2].map(|c| (Layout::PELVIS + c, sign * of.col(c)[axis]));
+            let change = next_place.0[axis] - this_place.0[axis];
+            tie(&slopes(this_place.1, -1.0), &slopes(next_place.1, 1.0), change, prior::PELVIS_DRIFT);
+        }
+        let mut walk = |column: usize, change: f64, sigma: f64| tie(&[(column, -1.0)], &[(column, 1.0)], change, sigma);
+        walk(Layout::TURN_RATE, next.turn_rate - this.turn_rate, prior::TURN_DRIFT);
+        for p in &self.prior.joints {
+            let Some(column) = self.layout.joint_column(p.joint) else { continue };
+            for axis in 0..3 {
+                walk(column + axis, next.theta[p.joint][axis] - this.theta[p.joint][axis], p.drift);
+            }
+        }
+        cost
+    }
+}

@@ -1,0 +1,62 @@
+//! From the solver's unknowns to the result.
+
+use glam::DVec3;
+
+use super::known::camera_rotation;
+use super::{Candidate, Stage0Report, Stage0Result, rotation, sides};
+use crate::body::N_JOINTS;
+use crate::capture::Capture;
+
+pub fn result(best: &Candidate, capture: &Capture, mut report: Stage0Report) -> Stage0Result {
+    let state = &best.state;
+    let to_world = camera_rotation(capture).transpose();
+    let camera_shift = DVec3::from_array(capture.camera.translation);
+    let rest_pelvis = best.problem.rig.rest_joints(&state.shared.betas)[0];
+    let mut poses = Vec::with_capacity(state.frames.len());
+    let mut transl = Vec::with_capacity(state.frames.len());
+    for frame in &state.frames {
+        let mut pose = [0.0; 3 * N_JOINTS];
+        for (j, slot) in pose.chunks_exact_mut(3).enumerate() {
+            let angles = if j == 0 { rotation::log(to_world * frame.root) } else { frame.theta[j] };
+            slot.copy_from_slice(&angles.as_vec3().to_array());
+        }
+        poses.push(pose);
+        transl.push((to_world * (frame.pelvis - camera_shift) - rest_pelvis).as_vec3().to_array());
+    }
+    let mut camera = capture.camera.clone();
+    let zoomed = best.problem.camera.zoomed(state.shared.log_focal);
+    if capture.camera_estimated {
+        (camera.fx, camera.fy) = (zoomed.fx, zoomed.fy);
+    }
+    describe(best, &mut report);
+    Stage0Result { betas: state.shared.betas.iter().map(|b| *b as f32).collect(), poses, transl, camera, report }
+}
+
+fn describe(best: &Candidate, report: &mut Stage0Report) {
+    let limit = best.scales.rho * best.scales.sigma_px;
+    report.sigma_px = best.scales.sigma_px as f32;
+    for (t, distances) in sides::distances(&best.problem, &best.state).iter().enumerate() {
+        let (mut sum, mut count) = (0.0, 0);
+        for (k, distance) in distances.iter().enumerate().filter(|(_, d)| d.is_finite()) {
+            if *distance > limit {
+                let landmark = &best.problem.landmarks[k];
+                let group = landmark.part.group() as usize;
+                let as_given = if best.swapped[t][group] { landmark.partner } else { k };
+                report.dropped.push((t, as_given));
+            } else {
+                sum += distance * distance;
+                count += 1;
+            }
+        }
+        report.residual_px.push((sum / f64::from(count)).sqrt() as f32);
+    }
+    report.swapped = (0..best.swapped.len()).filter(|t| best.swapped[*t].contains(&true)).collect();
+    let turn = |pair: &[super::state::Frame]| rotation::log(pair[0].root.transpose() * pair[1].root).y;
+    report.turn_degrees = best.state.frames.windows(2).map(turn).sum::<f64>().to_degrees() as f32;
+    if !report.swapped.is_empty() {
+        report.notes.push(format!("left and right were swapped in {} frames", report.swapped.len()));
+    }
+    if best.problem.anchor.is_none() && report.turn_degrees.abs() < 180.0 {
+        report.notes.push(format!("the person turns by {:.0}° only: unseen sides are guessed", report.turn_degrees));
+    }
+}

@@ -1,0 +1,89 @@
+//! Reads the detections again in the light of the fit: which limbs have their sides swapped, how noisy the
+//! detector is, and which points are wrong.
+
+use super::landmarks::GROUPS;
+use super::problem::{Problem, Scales};
+use super::state::State;
+
+/// A swap must explain a group this much better (log-odds) before it is believed.
+const MARGIN: f64 = 3.0;
+/// Bounds of the noise in multiples of the person's height in pixels: the model's own misfit, and the most that a
+/// detector may be off.
+const LEAST_NOISE: f64 = 0.003;
+const MOST_NOISE: f64 = 0.025;
+
+/// Distances of all detections from their landmarks, in pixels: `[N][K]`, NaN where nothing was seen.
+pub fn distances(problem: &Problem, state: &State) -> Vec<Vec<f64>> {
+    let camera = problem.camera.zoomed(state.shared.log_focal);
+    let of_frame = |t: usize| {
+        let posed = problem.rig.pose(&state.frames[t], &state.shared);
+        let places = problem.landmarks_at(&posed, state, &camera);
+        let distance = |k: usize| {
+            let seen = &problem.observations[t][k];
+            if seen.weight > 0.0 { seen.at.distance(places[k]) } else { f64::NAN }
+        };
+        (0..places.len()).map(distance).collect()
+    };
+    (0..state.frames.len()).map(of_frame).collect()
+}
+
+/// The person's height in pixels, as the state has it.
+pub fn height_px(problem: &Problem, state: &State) -> f64 {
+    let depths: f64 = state.frames.iter().map(|f| f.pelvis.z.max(0.1)).sum::<f64>() / state.frames.len() as f64;
+    1.7 * problem.camera.zoomed(state.shared.log_focal).fy / depths
+}
+
+/// Residuals are this much smaller than the noise, because the pose follows a part of it (measured on
+/// synthetic clips).
+const FOLLOWED: f64 = 1.25;
+
+/// σ of one coordinate from the median distance (that of a Rayleigh distribution is 1.1774 σ).
+pub fn noise(problem: &Problem, state: &State, scales: &Scales) -> f64 {
+    let mut all: Vec<f64> = distances(problem, state).into_iter().flatten().filter(|d| d.is_finite()).collect();
+    if all.is_empty() {
+        return scales.sigma_px;
+    }
+    all.sort_by(f64::total_cmp);
+    let height = height_px(problem, state);
+    (FOLLOWED * all[all.len() / 2] / 1.1774).clamp(LEAST_NOISE * height, MOST_NOISE * height)
+}
+
+/// Swaps the detections of limbs (or of the face) that fit far better so. `swapped [N]`: the groups that differ
+/// from the upload, kept up to date.
+pub fn reread(problem: &mut Problem, state: &State, scales: &Scales, swapped: &mut [[bool; 3]]) {
+    let camera = problem.camera.zoomed(state.shared.log_focal);
+    let information = 1.0 / (scales.sigma_px * scales.sigma_px);
+    let limit = scales.rho * scales.rho;
+    for t in 0..state.frames.len() {
+        let posed = problem.rig.pose(&state.frames[t], &state.shared);
+        let places = problem.landmarks_at(&posed, state, &camera);
+        for (g, group) in GROUPS.into_iter().enumerate() {
+            let (mut kept, mut exchanged) = (0.0, 0.0);
+            for (k, landmark) in problem.landmarks.iter().enumerate() {
+                let seen = &problem.observations[t][k];
+                if landmark.part.group() != group || landmark.side == 0.0 || seen.weight == 0.0 {
+                    continue;
+                }
+                let cost = |at: usize| {
+                    let q = seen.at.distance_squared(places[at]) * information;
+                    0.5 * seen.weight * q * limit / (q + limit)
+                };
+                kept += cost(k);
+                exchanged += cost(landmark.partner);
+            }
+            if exchanged + MARGIN < kept {
+                swap_group(problem, t, g);
+                swapped[t][g] ^= true;
+            }
+        }
+    }
+}
+
+/// Exchanges left and right detections of one group in one frame.
+pub fn swap_group(problem: &mut Problem, t: usize, group: usize) {
+    for (k, landmark) in problem.landmarks.iter().enumerate() {
+        if landmark.part.group() == GROUPS[group] && landmark.side > 0.0 {
+            problem.observations[t].swap(k, landmark.partner);
+        }
+    }
+}

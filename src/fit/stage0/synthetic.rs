@@ -1,0 +1,214 @@
+//! Clips made in code, with their truth: a person in an A-pose who turns before the camera.
+
+use glam::{DMat3, DVec3};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg32;
+
+use super::landmarks::N_OFFSETS;
+use super::landmarks::{GROUPS, landmarks};
+use super::problem::Pinhole;
+use super::rig::{Point, Rig};
+use super::state::{Frame as Pose, Shared};
+use super::{Stage0Result, rotation};
+use crate::body::{Body, N_JOINTS};
+use crate::camera::Camera;
+use crate::capture::{Capture, Frame};
+
+/// What is difficult about a clip.
+#[derive(Clone, Debug)]
+pub struct Difficulty {
+    pub frames: usize,
+    pub turn_degrees: f64,
+    /// Facing of the first frame.
+    pub start_degrees: f64,
+    pub noise_px: f64,
+    /// Shares of keypoints not seen, and anywhere in the picture.
+    pub dropped: f64,
+    pub wrong: f64,
+    /// Of frames that show the back, how many have all sides swapped.
+    pub swapped_backs: f64,
+    /// Swing of the arms, degrees.
+    pub swing_degrees: f64,
+    /// Swing of the turn's pace, 0..1.
+    pub pace: f64,
+    pub betas: Vec<f64>,
+    /// The camera's file says this many times the true focal length, and is marked as a guess.
+    pub focal_guess: Option<f64>,
+    /// Faces of backs are still found, as sure as others.
+    pub face_through_head: bool,
+    pub format: &'static str,
+    pub seed: u64,
+}
+
+impl Default for Difficulty {
+    fn default() -> Self {
+        Self {
+            frames: 30,
+            turn_degrees: 360.0,
+            start_degrees: 0.0,
+            noise_px: 2.0,
+            dropped: 0.05,
+            wrong: 0.0,
+            swapped_backs: 0.0,
+            swing_degrees: 5.0,
+            pace: 0.2,
+            betas: vec![0.3, 0.0, -0.4],
+            focal_guess: None,
+            face_through_head: false,
+            format: "coco17",
+            seed: 1,
+        }
+    }
+}
+
+/// A clip and what it shows.
+pub struct Clip {
+    pub capture: Capture,
+    pub poses: Vec<Pose>,
+    pub shared: Shared,
+}
+
+const SIDE_PX: u32 = 540;
+const FOCAL_PX: f64 = 760.0;
+
+fn noise(rng: &mut Pcg32) -> f64 {
+    let (u, v): (f64, f64) = (rng.random_range(1e-12..1.0), rng.random());
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+/// The true poses.
+fn poses(how: &Difficulty) -> Vec<Pose> {
+    let last = (how.frames - 1).max(1) as f64;
+    let pose = |t: usize| {
+        let at = t as f64 / last;
+        let sway = |k: f64| (std::f64::consts::TAU * (at * (1.0 + 0.37 * k) + 0.21 * k)).sin();
+        let turned = at + how.pace / std::f64::consts::TAU * (std::f64::consts::TAU * at).sin();
+        let yaw = (how.start_degrees + how.turn_degrees * turned).to_radians();
+        let swing = how.swing_degrees.to_radians();
+        let mut theta = [DVec3::ZERO; N_JOINTS];
+        theta[1] = DVec3::new(0.03 * sway(1.0), 0.0, 0.14);
+        theta[2] = DVec3::new(0.03 * sway(2.0), 0.0, -0.13);
+        theta[4] = DVec3::new(0.05 + 0.02 * sway(3.0), 0.0, 0.0);
+        theta[5] = DVec3::new(0.06 + 0.02 * sway(4.0), 0.0, 0.0);
+        theta[7].z = -0.12;
+        theta[8].z = 0.11;
+        theta[3] = DVec3::new(0.02 * sway(1.5), 0.02 * sway(2.5), 0.0);
+        theta[15] = DVec3::new(0.06 * sway(0.5), 0.08 * sway(1.2), 0.02);
+        theta[16] = DVec3::new(0.08, 0.1 * sway(0.8), -0.78 + swing * sway(0.6));
+        theta[17] = DVec3::new(0.05, -0.1 * sway(1.1), 0.72 + swing * sway(0.3));
+        theta[18].y = -0.27 + 0.06 * sway(0.9);
+        theta[19].y = 0.2 + 0.06 * sway(1.4);
+        let tilt = rotation::exp(DVec3::new(0.03 + 0.015 * sway(2.0), 0.0, 0.015 * sway(1.0)));
+        Pose {
+            root: DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * tilt * DMat3::from_rotation_y(yaw),
+            pelvis: DVec3::new(0.03 * sway(0.2), -0.01, 2.85 + 0.02 * sway(0.4)),
+            turn_rate: 0.0,
+            theta,
+        }
+    };
+    (0..how.frames).map(pose).collect()
+}
+
+pub fn clip(body: &Body, how: &Difficulty) -> Clip {
+    let rig = Rig::new(body);
+    let marks = landmarks(how.format).unwrap();
+    let points: Vec<Point> =
+        body.keypoint_set(how.format).unwrap().points.iter().map(|source| Point::new(body, source)).collect();
+    let shared = Shared { betas: how.betas.clone(), offsets: [DVec3::ZERO; N_OFFSETS], log_focal: 0.0 };
+    let centre = f64::from(SIDE_PX) / 2.0;
+    let pinhole = Pinhole { fx: FOCAL_PX, fy: FOCAL_PX, cx: centre, cy: centre };
+    let mut rng = Pcg32::seed_from_u64(how.seed);
+    let poses = poses(how);
+    let mut frames = Vec::new();
+    for (t, pose) in poses.iter().enumerate() {
+        let posed = rig.pose(pose, &shared);
+        let places: Vec<DVec3> = points.iter().map(|p| posed.place(p, &shared.betas, DVec3::ZERO)).collect();
+        let forward = pose.root.z_axis.z;
+        let shows_back = forward > 0.2;
+        let mut keypoints: Vec<[f32; 3]> = Vec::new();
+        for (k, place) in places.iter().enumerate() {
+            let mut at = pinhole.project(*place);
+            at.x += how.noise_px * noise(&mut rng);
+            at.y += how.noise_px * noise(&mut rng);
+            let hidden_face = marks[k].part.group() == GROUPS[0] && shows_back && !how.face_through_head;
+            let hidden_side = marks[k].side != 0.0 && place.z > places[marks[k].partner].z + 0.15;
+            let mut confidence = if hidden_face || hidden_side { 0.3 } else { 0.9 };
+            if rng.random::<f64>() < how.wrong {
+                at.x = rng.random_range(0.0..f64::from(SIDE_PX));
+                at.y = rng.random_range(0.0..f64::from(SIDE_PX));
+            }
+            if rng.random::<f64>() < how.dropped {
+                (at, confidence) = (glam::DVec2::ZERO, 0.0);
+            }
+            keypoints.push([at.x as f32, at.y as f32, confidence]);
+        }
+        if shows_back && rng.random::<f64>() < how.swapped_backs {
+            let given = keypoints.clone();
+            (0..given.len()).for_each(|k| keypoints[k] = given[marks[k].partner]);
+        }
+        let index = t as u32;
+        frames.push(Frame { index, x0: 0, y0: 0, width: 0, height: 0, rgb: Vec::new(), mask: Vec::new(), keypoints });
+    }
+    let guess = FOCAL_PX * how.focal_guess.unwrap_or(1.0);
+    let camera = Camera {
+        width: SIDE_PX,
+        height: SIDE_PX,
+        fx: guess,
+        fy: guess,
+        cx: centre,
+        cy: centre,
+        distortion: [0.0; 5],
+        rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        translation: [0.0; 3],
+    };
+    let capture = Capture {
+        camera,
+        camera_estimated: how.focal_guess.is_some(),
+        fps: 30.0,
+        frames,
+        keypoint_format: how.format.to_owned(),
+        poses: None,
+        warnings: Vec::new(),
+    };
+    Clip { capture, poses, shared }
+}
+
+/// How far a result is from the truth.
+#[derive(Debug)]
+pub struct Errors {
+    /// Mean distance of the joints, metres.
+    pub joints: f64,
+    /// The same once size and distance, which one camera cannot tell, are scaled to the truth's.
+    pub scaled: f64,
+    /// Largest error of the facing, degrees.
+    pub facing_degrees: f64,
+}
+
+pub fn errors(body: &Body, clip: &Clip, result: &Stage0Result) -> Errors {
+    let rig = Rig::new(body);
+    let shared = Shared {
+        betas: result.betas.iter().map(|b| f64::from(*b)).collect(),
+        offsets: [DVec3::ZERO; N_OFFSETS],
+        log_focal: 0.0,
+    };
+    let rest = rig.rest_joints(&shared.betas)[0];
+    let (mut pairs, mut facing) = (Vec::new(), 0.0f64);
+    for (t, truth) in clip.poses.iter().enumerate() {
+        let angle = |j: usize| DVec3::from_array([0, 1, 2].map(|a| f64::from(result.poses[t][3 * j + a])));
+        let found = Pose {
+            root: rotation::exp(angle(0)),
+            pelvis: DVec3::from_array(result.transl[t].map(f64::from)) + rest,
+            turn_rate: 0.0,
+            theta: std::array::from_fn(angle),
+        };
+        let (a, b) = (rig.pose(&found, &shared).positions, rig.pose(truth, &clip.shared).positions);
+        pairs.extend(a.into_iter().zip(b));
+        let heading = |root: DMat3| root.z_axis.x.atan2(-root.z_axis.z);
+        let wrong = (heading(found.root) - heading(truth.root)).to_degrees();
+        facing = facing.max(((wrong + 180.0).rem_euclid(360.0) - 180.0).abs());
+    }
+    let scale: f64 =
+        pairs.iter().map(|(a, b)| a.dot(*b)).sum::<f64>() / pairs.iter().map(|(a, _)| a.length_squared()).sum::<f64>();
+    let mean = |s: f64| pairs.iter().map(|(a, b)| (*a * s).distance(*b)).sum::<f64>() / pairs.len() as f64;
+    Errors { joints: mean(1.0), scaled: mean(scale), facing_degrees: facing }
+}

@@ -1,0 +1,194 @@
+use glam::DVec3;
+
+use super::normal::Normal;
+use super::setup;
+use super::state::{Layout, State, Step};
+use super::synthetic::{Clip, Difficulty, Errors, clip, errors};
+use super::{Stage0Error, Stage0Options, Stage0Result, solve};
+use crate::body::Body;
+
+fn solved(how: &Difficulty) -> (Clip, Stage0Result, Errors) {
+    let body = Body::test_body();
+    let clip = clip(&body, how);
+    let options = Stage0Options { use_masks: false, ..Stage0Options::default() };
+    let result = solve(&body, &clip.capture, &options, &mut |_| true).unwrap();
+    let errors = errors(&body, &clip, &result);
+    (clip, result, errors)
+}
+
+/// Asserts a mean joint error (size and distance scaled to the truth's) and a facing.
+fn recovers(how: &Difficulty, metres: f64, degrees: f64) -> Stage0Result {
+    let (_, result, errors) = solved(how);
+    assert!(errors.scaled < metres && errors.facing_degrees < degrees, "{errors:?} of {how:?}");
+    assert!(errors.joints < 0.15, "size or distance is off: {errors:?}");
+    result
+}
+
+#[test]
+fn a_plain_turn() {
+    recovers(&Difficulty::default(), 0.02, 5.0);
+}
+
+#[test]
+fn turning_the_other_way_round() {
+    let result = recovers(&Difficulty { turn_degrees: -360.0, seed: 2, ..Difficulty::default() }, 0.02, 5.0);
+    assert!((result.report.turn_degrees + 360.0).abs() < 10.0);
+}
+
+#[test]
+fn two_hundred_seventy_degrees() {
+    recovers(&Difficulty { turn_degrees: 270.0, start_degrees: -60.0, seed: 3, ..Difficulty::default() }, 0.025, 6.0);
+}
+
+#[test]
+fn one_and_a_half_turns_at_a_varying_pace() {
+    let how = Difficulty { frames: 45, turn_degrees: 540.0, pace: 0.6, seed: 4, ..Difficulty::default() };
+    recovers(&how, 0.025, 8.0);
+}
+
+#[test]
+fn arms_that_swing() {
+    recovers(&Difficulty { swing_degrees: 30.0, seed: 5, ..Difficulty::default() }, 0.03, 6.0);
+}
+
+#[test]
+fn a_back_view_with_swapped_sides_does_not_flip() {
+    let result = recovers(&Difficulty { swapped_backs: 0.8, seed: 6, ..Difficulty::default() }, 0.025, 6.0);
+    assert!(result.report.swapped.len() >= 5, "{:?}", result.report.swapped);
+}
+
+#[test]
+fn a_noisy_detector() {
+    recovers(&Difficulty { noise_px: 6.0, seed: 7, ..Difficulty::default() }, 0.04, 9.0);
+}
+
+#[test]
+fn missing_and_wrong_points() {
+    recovers(&Difficulty { dropped: 0.25, wrong: 0.08, seed: 8, ..Difficulty::default() }, 0.03, 7.0);
+}
+
+#[test]
+fn faces_imagined_on_the_back_of_the_head() {
+    recovers(&Difficulty { face_through_head: true, seed: 9, ..Difficulty::default() }, 0.02, 5.0);
+}
+
+#[test]
+fn unknown_focal_length() {
+    let how = Difficulty { focal_guess: Some(1.2), seed: 10, ..Difficulty::default() };
+    let (clip, result, errors) = solved(&how);
+    let depth = f64::from(result.transl[0][2]);
+    assert!(errors.facing_degrees < 6.0, "{errors:?}");
+    assert!((2.2..3.8).contains(&depth), "{depth}");
+    let ratio = result.camera.fx / (clip.capture.camera.fx / 1.2);
+    assert!((0.85..1.25).contains(&ratio), "{ratio}");
+}
+
+#[test]
+fn body25_points() {
+    recovers(&Difficulty { format: "body25", seed: 11, ..Difficulty::default() }, 0.025, 5.0);
+}
+
+#[test]
+fn slopes_agree_with_central_differences() {
+    let body = Body::test_body();
+    let clip = clip(&body, &Difficulty { frames: 4, turn_degrees: 40.0, ..Difficulty::default() });
+    let mut problem = setup::problem(&body, &clip.capture).unwrap();
+    problem.focal_sigma = 0.2;
+    let mut state = State { frames: clip.poses.clone(), shared: setup::mean_shape(body.n_betas) };
+    state.shared.betas = vec![0.4, -0.3, 0.2];
+    state.shared.offsets[4] = DVec3::new(0.02, -0.01, 0.015);
+    state.frames[1].theta[4].x = -0.3;
+    state.frames[2].theta[18] = DVec3::new(0.1, 0.4, -0.05);
+    let scales = setup::rough_scales(&problem, &state);
+    let layout: &Layout = &problem.layout;
+    let mut normal = Normal::new(4, layout.n_frame, layout.n_shared);
+    problem.evaluate(&state, &scales, Some(&mut normal));
+    let zero = || Step { frames: vec![0.0; 4 * layout.n_frame], shared: vec![0.0; layout.n_shared] };
+    let h = 1e-5;
+    for column in 0..4 * layout.n_frame + layout.n_shared {
+        let along = |size: f64| {
+            let mut step = zero();
+            let frames = step.frames.len();
+            if column < frames {
+                step.frames[column] = size
+            } else {
+                step.shared[column - frames] = size
+            }
+            step
+        };
+        let cost = |size: f64| problem.evaluate(&state.stepped(layout, &along(size)), &scales, None);
+        let difference = (cost(h) - cost(-h)) / (2.0 * h);
+        let slope = normal.slope_along(&along(1.0));
+        let tolerance = 1e-4 * slope.abs().max(1.0);
+        assert!((difference - slope).abs() < tolerance, "column {column}: {difference} and {slope}");
+    }
+}
+
+#[test]
+fn steps_of_the_block_solver_solve_the_whole_system() {
+    let (n, d, s) = (4, 3, 2);
+    let mut normal = Normal::new(n, d, s);
+    let size = n * d + s;
+    let mut dense = nalgebra::DMatrix::<f64>::zeros(size, size);
+    let mut gradient = nalgebra::DVector::<f64>::zeros(size);
+    let mut value = 0.3f64;
+    let mut next = || {
+        value = (value * 91.7 + 0.37).fract();
+        value - 0.5
+    };
+    let mut record = |row: Vec<(usize, f64)>, residual: f64, weight: f64| {
+        for (i, a) in &row {
+            gradient[*i] += weight * a * residual;
+            for (j, b) in &row {
+                dense[(*i, *j)] += weight * a * b;
+            }
+        }
+    };
+    for round in 0..60 {
+        let t = round % n;
+        let frame: Vec<(usize, f64)> = (0..d).map(|c| (c, next())).collect();
+        let shared: Vec<(usize, f64)> = (0..s).map(|c| (c, next())).collect();
+        let residual = next();
+        normal.add(t, &frame, &shared, residual, 0.7);
+        let whole = frame.iter().map(|(c, v)| (t * d + c, *v)).chain(shared.iter().map(|(c, v)| (n * d + c, *v)));
+        record(whole.collect(), residual, 0.7);
+        if t + 1 < n {
+            let other: Vec<(usize, f64)> = (0..d).map(|c| (c, next())).collect();
+            normal.add_pair(t, &frame, &other, residual, 1.3);
+            let pair =
+                frame.iter().map(|(c, v)| (t * d + c, *v)).chain(other.iter().map(|(c, v)| ((t + 1) * d + c, *v)));
+            record(pair.collect(), residual, 1.3);
+        }
+    }
+    let expected = -dense.lu().solve(&gradient).unwrap();
+    let step = normal.solve(0.0).unwrap();
+    for (i, found) in step.frames.iter().chain(&step.shared).enumerate() {
+        assert!((found - expected[i]).abs() < 1e-6, "{i}: {found} and {}", expected[i]);
+    }
+}
+
+#[test]
+fn an_empty_clip_says_that_nobody_is_there() {
+    let body = Body::test_body();
+    let mut clip = clip(&body, &Difficulty { frames: 5, dropped: 1.0, ..Difficulty::default() });
+    let options = Stage0Options::default();
+    let error = solve(&body, &clip.capture, &options, &mut |_| true).unwrap_err();
+    assert!(matches!(error, Stage0Error::NobodyFound), "{error}");
+    clip.capture.frames[3].keypoints.pop();
+    let error = solve(&body, &clip.capture, &options, &mut |_| true).unwrap_err();
+    assert!(matches!(error, Stage0Error::KeypointCount { frame: 3, found: 16, expected: 17 }), "{error}");
+}
+
+#[test]
+fn a_stop_is_heard() {
+    let body = Body::test_body();
+    let clip = clip(&body, &Difficulty { frames: 6, ..Difficulty::default() });
+    let mut calls = 0;
+    let mut progress = |_| {
+        calls += 1;
+        calls < 3
+    };
+    let error = solve(&body, &clip.capture, &Stage0Options::default(), &mut progress).unwrap_err();
+    assert!(matches!(error, Stage0Error::Stopped));
+    assert_eq!(calls, 3);
+}
