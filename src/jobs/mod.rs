@@ -1,1 +1,20 @@
-//! (to come)
+//! Jobs: what they are, which states they go through, and the queue that keeps them.
+//!
+//! The schema in `migrations/` tells the domain; this module gives it types. [`Queue`] is the only way to the
+//! database; [`sqlite`] implements it. Time and chance come in through [`Env`], so that tests own both.
+
+#[cfg(test)]
+mod conformance;
+mod env;
+mod job;
+mod options;
+mod queue;
+pub mod render;
+pub mod sqlite;
+
+pub use env::{Clock, Env, ManualClock, SystemClock, Timestamp};
+pub use job::{Avatar, AvatarFile, Clip, Event, EventKind, Job, JobError, Losses, NewAvatar, NewJob, Part, State};
+pub use options::{JobOptions, OptionsError, Preset};
+pub use queue::{
+    Change, Deletion, Lease, ListFilter, Policy, ProgressReport, Queue, QueueError, Reaped, StageTime, Standing,
+};

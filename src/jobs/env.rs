@@ -1,0 +1,141 @@
+//! Time and chance, injected.
+
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use uuid::Uuid;
+
+/// Milliseconds since 1970, UTC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Timestamp(pub i64);
+
+impl Timestamp {
+    pub fn plus(self, duration: Duration) -> Self {
+        Timestamp(self.0.saturating_add(duration.as_millis().min(i64::MAX as u128) as i64))
+    }
+
+    /// RFC 3339 in UTC with milliseconds: `2026-01-31T12:00:00.000Z`.
+    pub fn rfc3339(self) -> String {
+        let (days, ms) = (self.0.div_euclid(86_400_000), self.0.rem_euclid(86_400_000));
+        let (year, month, day) = civil_from_days(days);
+        let (secs, ms) = (ms / 1000, ms % 1000);
+        format!("{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}.{ms:03}Z", secs / 3600, secs / 60 % 60, secs % 60)
+    }
+}
+
+/// The proleptic Gregorian date of a day counted from 1970-01-01. Years are counted from March, so that the leap day
+/// is the last of its year; 400 years have 146,097 days; 719,468 days lie between 0000-03-01 and 1970-01-01.
+fn civil_from_days(days: i64) -> (i64, i64, i64) {
+    let z = days + 719_468;
+    let (era, day_of_era) = (z.div_euclid(146_097), z.rem_euclid(146_097));
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month_from_march = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
+    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
+    (year_of_era + era * 400 + i64::from(month <= 2), month, day)
+}
+
+pub trait Clock: Send + Sync + 'static {
+    fn now(&self) -> Timestamp;
+}
+
+/// The machine's wall clock.
+pub struct SystemClock;
+
+impl Clock for SystemClock {
+    fn now(&self) -> Timestamp {
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Timestamp(since.as_millis() as i64)
+    }
+}
+
+/// A clock that stands still until it is moved.
+pub struct ManualClock(Mutex<Timestamp>);
+
+impl ManualClock {
+    pub fn new(start: Timestamp) -> Arc<Self> {
+        Arc::new(ManualClock(Mutex::new(start)))
+    }
+
+    pub fn advance(&self, by: Duration) {
+        let mut now = self.0.lock().unwrap();
+        *now = now.plus(by);
+    }
+}
+
+impl Clock for ManualClock {
+    fn now(&self) -> Timestamp {
+        *self.0.lock().unwrap()
+    }
+}
+
+/// What a service takes from the world besides its inputs.
+#[derive(Clone)]
+pub struct Env {
+    clock: Arc<dyn Clock>,
+    random: Arc<Mutex<Pcg64Mcg>>,
+}
+
+impl Env {
+    /// The machine's clock, and randomness seeded by the operating system.
+    pub fn system() -> Self {
+        Self::new(Arc::new(SystemClock), Uuid::new_v4().as_u128() as u64)
+    }
+
+    pub fn new(clock: Arc<dyn Clock>, seed: u64) -> Self {
+        Env { clock, random: Arc::new(Mutex::new(Pcg64Mcg::seed_from_u64(seed))) }
+    }
+
+    pub fn now(&self) -> Timestamp {
+        self.clock.now()
+    }
+
+    /// A UUIDv7 of the present moment.
+    pub fn new_id(&self) -> Uuid {
+        let mut bytes = [0; 10];
+        self.random.lock().unwrap().fill_bytes(&mut bytes);
+        uuid::Builder::from_unix_timestamp_millis(self.now().0.max(0) as u64, &bytes).into_uuid()
+    }
+
+    /// Uniform in [0, 1).
+    pub fn unit(&self) -> f64 {
+        (self.random.lock().unwrap().next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_follow_the_gregorian_calendar() {
+        for (ms, text) in [
+            (0, "1970-01-01T00:00:00.000Z"),
+            (951_782_400_000, "2000-02-29T00:00:00.000Z"),
+            (1_709_251_199_999, "2024-02-29T23:59:59.999Z"),
+            (4_107_542_400_000, "2100-03-01T00:00:00.000Z"),
+            (-1, "1969-12-31T23:59:59.999Z"),
+        ] {
+            assert_eq!(Timestamp(ms).rfc3339(), text);
+        }
+    }
+
+    #[test]
+    fn ids_sort_by_time_and_repeat_with_the_seed() {
+        let clock = ManualClock::new(Timestamp(1_700_000_000_000));
+        let ids = |seed| {
+            let env = Env::new(clock.clone(), seed);
+            let first = env.new_id();
+            clock.advance(Duration::from_millis(1));
+            let second = env.new_id();
+            assert!(first < second && first.to_string() < second.to_string());
+            first
+        };
+        let first = ids(1);
+        assert_ne!(first, ids(2));
+        assert_eq!(first.get_version_num(), 7);
+    }
+}

@@ -1,0 +1,155 @@
+//! What a client may ask of a fit.
+
+use serde::{Deserialize, Serialize};
+
+/// How much work a fit does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Preset {
+    /// A first look: few frames, few iterations, a small picture.
+    Draft,
+    /// Good quality in minutes.
+    #[default]
+    Standard,
+    /// The published method's sizes and iterations.
+    Paper,
+}
+
+/// The `options` part of an upload. Every field may be left out.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct JobOptions {
+    /// How much work the fit does; the other options override what the preset sets.
+    #[schema(default = "standard")]
+    pub preset: Preset,
+    /// At most this many frames are used, evenly spread over the clip. Absent: the preset's.
+    #[schema(minimum = 2, maximum = 10000)]
+    pub max_frames: Option<u32>,
+    /// Images whose longer side has more pixels are scaled down to this. Absent: the preset's.
+    #[schema(minimum = 64, maximum = 4096)]
+    pub max_side_px: Option<u32>,
+    /// Name of the body model; the server's `bodies` folder holds them.
+    #[schema(default = "default", pattern = "^[A-Za-z0-9_-]{1,64}$")]
+    pub body: String,
+    /// Seed of everything random in the fit: the same inputs, options and device give the same avatar.
+    #[schema(default = 0)]
+    pub seed: u64,
+    /// Side of the baked texture: 2048 or 4096.
+    #[schema(default = 2048)]
+    pub texture_px: u32,
+}
+
+impl Default for JobOptions {
+    fn default() -> Self {
+        JobOptions {
+            preset: Preset::default(),
+            max_frames: None,
+            max_side_px: None,
+            body: "default".into(),
+            seed: 0,
+            texture_px: 2048,
+        }
+    }
+}
+
+/// Options that cannot be followed.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("options: {message}")]
+pub struct OptionsError {
+    /// The field at fault, where one is.
+    pub field: Option<String>,
+    pub message: String,
+    pub expected: Option<String>,
+}
+
+impl JobOptions {
+    /// Reads and checks the JSON of the `options` part.
+    pub fn parse(json: &[u8]) -> Result<JobOptions, OptionsError> {
+        let mut reader = serde_json::Deserializer::from_slice(json);
+        let options: JobOptions = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+            let path = error.path().to_string();
+            let message = error.into_inner().to_string();
+            OptionsError {
+                field: (path != ".").then_some(path),
+                expected: message.split_once("expected ").map(|(_, rest)| strip_position(rest).into()),
+                message: strip_position(&message).into(),
+            }
+        })?;
+        reader.end().map_err(|e| OptionsError { field: None, message: e.to_string(), expected: None })?;
+        options.check()?;
+        Ok(options)
+    }
+
+    /// Ranges that the types do not hold.
+    pub fn check(&self) -> Result<(), OptionsError> {
+        let wrong = |field: &str, got: String, expected: &str| OptionsError {
+            field: Some(field.into()),
+            message: format!("{field} is {got}"),
+            expected: Some(expected.into()),
+        };
+        if let Some(n) = self.max_frames.filter(|n| !(2..=10_000).contains(n)) {
+            return Err(wrong("max_frames", n.to_string(), "2 to 10000"));
+        }
+        if let Some(n) = self.max_side_px.filter(|n| !(64..=4096).contains(n)) {
+            return Err(wrong("max_side_px", n.to_string(), "64 to 4096"));
+        }
+        if ![2048, 4096].contains(&self.texture_px) {
+            return Err(wrong("texture_px", self.texture_px.to_string(), "2048 or 4096"));
+        }
+        // The name becomes a file name.
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        if self.body.is_empty() || self.body.len() > 64 || !self.body.chars().all(plain) {
+            return Err(wrong("body", format!("{:?}", self.body), "1 to 64 letters, digits, hyphens or underscores"));
+        }
+        Ok(())
+    }
+}
+
+/// serde_json ends its messages with the place in the text, which says little about a small object.
+fn strip_position(message: &str) -> &str {
+    message.split(" at line ").next().unwrap_or(message)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_object_is_the_default() {
+        assert_eq!(JobOptions::parse(b"{}").unwrap(), JobOptions::default());
+    }
+
+    #[test]
+    fn every_field_is_read() {
+        let json =
+            br#"{"preset":"draft","max_frames":30,"max_side_px":360,"body":"smpl-neutral","seed":7,"texture_px":4096}"#;
+        let options = JobOptions::parse(json).unwrap();
+        assert_eq!((options.preset, options.max_frames, options.max_side_px), (Preset::Draft, Some(30), Some(360)));
+        assert_eq!((options.body.as_str(), options.seed, options.texture_px), ("smpl-neutral", 7, 4096));
+    }
+
+    #[test]
+    fn each_mistake_names_its_field() {
+        for (json, field) in [
+            (r#"{"preset":"best"}"#, "preset"),
+            (r#"{"speed":1}"#, "speed"),
+            (r#"{"max_frames":1}"#, "max_frames"),
+            (r#"{"max_frames":"many"}"#, "max_frames"),
+            (r#"{"max_side_px":100000}"#, "max_side_px"),
+            (r#"{"texture_px":1000}"#, "texture_px"),
+            (r#"{"body":"../etc"}"#, "body"),
+            (r#"{"seed":-1}"#, "seed"),
+        ] {
+            let error = JobOptions::parse(json.as_bytes()).unwrap_err();
+            assert_eq!(error.field.as_deref(), Some(field), "{json}: {error:?}");
+            assert!(error.expected.is_some(), "{json}: {error:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_object_is_refused() {
+        for json in ["", "[1]", "null", "{} {}", "{\"preset\":"] {
+            assert!(JobOptions::parse(json.as_bytes()).is_err(), "{json}");
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! The queue as its users see it: the API, the workers and the reaper.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use futures_util::future::BoxFuture;
+use uuid::Uuid;
+
+use super::{Avatar, Event, Job, JobError, Losses, NewAvatar, NewJob, State};
+
+/// The numbers that rule leases and repeats.
+#[derive(Clone, Debug)]
+pub struct Policy {
+    /// A worker that is silent for longer has lost its job.
+    pub lease: Duration,
+    /// Attempts of a job before it fails.
+    pub max_attempts: u32,
+    /// Wait before the second attempt; doubles with each further one, plus up to a quarter by chance.
+    pub backoff: Duration,
+    /// No wait is longer.
+    pub backoff_max: Duration,
+    /// How long a job is kept after its end; None = for ever.
+    pub retention: Option<Duration>,
+}
+
+impl Default for Policy {
+    fn default() -> Self {
+        Policy {
+            lease: Duration::from_secs(60),
+            max_attempts: 3,
+            backoff: Duration::from_secs(2),
+            backoff_max: Duration::from_secs(600),
+            retention: None,
+        }
+    }
+}
+
+impl Policy {
+    /// The wait after `attempt` attempts (≥ 1); `unit` is uniform in [0, 1).
+    pub fn backoff_after(&self, attempt: u32, unit: f64) -> Duration {
+        let doublings = attempt.saturating_sub(1).min(30);
+        let wait = self.backoff.saturating_mul(1 << doublings).min(self.backoff_max);
+        wait.mul_f64(1.0 + 0.25 * unit)
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum QueueError {
+    #[error("the job database: {0}")]
+    Database(#[from] sqlx::Error),
+    #[error("the job database could not be brought to this version: {0}")]
+    Migrate(#[from] sqlx::migrate::MigrateError),
+    #[error("the job database holds something unreadable in {column}: {reason}")]
+    Corrupt { column: &'static str, reason: String },
+}
+
+/// A worker's right to a job: every write names it, and none succeeds once the epoch has moved on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Lease {
+    pub job: Uuid,
+    pub epoch: i64,
+}
+
+/// How a lease stands after a look or a write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// The job is this worker's.
+    Held,
+    /// It is, and a user wants it to stop.
+    Canceling,
+    /// Somebody else has the job, or nobody, or it is gone: stop, write nothing.
+    Lost,
+}
+
+/// Answer to a user's wish.
+#[derive(Clone, Debug)]
+pub enum Change {
+    /// The job as it is now.
+    Done(Job),
+    /// Its state does not allow it.
+    Refused(Job),
+    Unknown,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Deletion {
+    /// The rows are gone; the files are the caller's to remove.
+    Gone,
+    /// A worker has the job: it is asked to stop, and the reaper deletes it then.
+    Pending,
+    Unknown,
+}
+
+/// A page of the list, newest first.
+#[derive(Clone, Debug, Default)]
+pub struct ListFilter {
+    pub state: Option<State>,
+    /// Only jobs older than this one.
+    pub before: Option<Uuid>,
+    pub limit: u32,
+}
+
+/// What a worker tells about a fit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ProgressReport {
+    pub stage: String,
+    pub step: u32,
+    pub steps: u32,
+    /// Of the whole job, 0 to 1.
+    pub progress: f64,
+    pub eta_secs: Option<f64>,
+    pub losses: Losses,
+}
+
+/// What the reaper did.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Reaped {
+    /// Leases taken back.
+    pub reclaimed: Vec<Uuid>,
+    /// Jobs whose retention ended; their files are the caller's to remove.
+    pub expired: Vec<Uuid>,
+    /// Jobs deleted as wished; their files are the caller's to remove.
+    pub deleted: Vec<Uuid>,
+}
+
+/// Time that jobs spent in a stage.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageTime {
+    pub stage: String,
+    pub jobs: u64,
+    pub secs: f64,
+}
+
+type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
+
+/// A durable queue of jobs and the shelf of their results. Each call is one transaction.
+pub trait Queue: Send + Sync + 'static {
+    // The API's side.
+
+    /// Puts a job in, queued.
+    fn insert(&self, job: NewJob) -> Answer<'_, Job>;
+    fn get(&self, id: Uuid) -> Answer<'_, Option<Job>>;
+    fn list(&self, filter: ListFilter) -> Answer<'_, Vec<Job>>;
+    /// queued → canceled, running → canceling; a job that is canceling or canceled stays as it is.
+    fn cancel(&self, id: Uuid) -> Answer<'_, Change>;
+    /// failed, canceled → queued, with all its attempts again. Its checkpoint is still there.
+    fn retry(&self, id: Uuid) -> Answer<'_, Change>;
+    fn delete(&self, id: Uuid) -> Answer<'_, Deletion>;
+    /// Events of a job after the one named, oldest first.
+    fn events(&self, job: Uuid, after: i64, limit: u32) -> Answer<'_, Vec<Event>>;
+    /// Id of the newest event of all jobs, 0 without any.
+    fn last_event(&self) -> Answer<'_, i64>;
+    fn avatar(&self, id: Uuid) -> Answer<'_, Option<Avatar>>;
+    /// Jobs in each state.
+    fn counts(&self) -> Answer<'_, BTreeMap<State, u64>>;
+    fn stage_times(&self) -> Answer<'_, Vec<StageTime>>;
+
+    // A worker's side.
+
+    /// Gives the first claimable job to `owner`, if there is one.
+    fn claim<'a>(&'a self, owner: &'a str) -> Answer<'a, Option<(Lease, Job)>>;
+    /// Reads how the lease stands.
+    fn standing<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing>;
+    /// Renews the lease.
+    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing>;
+    /// Writes progress and renews the lease.
+    fn report<'a>(&'a self, lease: &'a Lease, report: &'a ProgressReport) -> Answer<'a, Standing>;
+    fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> Answer<'a, Standing>;
+    /// running, canceling → succeeded; the avatar appears in the same transaction. A wish to cancel that came after the
+    /// last iteration comes too late.
+    fn succeed<'a>(&'a self, lease: &'a Lease, avatar: NewAvatar) -> Answer<'a, Standing>;
+    /// The attempt ended badly: canceling → canceled; else failed, or queued again after a wait where `repeat` and
+    /// attempts are left.
+    fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: bool) -> Answer<'a, Standing>;
+    /// running → queued at once, the attempt not counted: the worker shuts down. canceling → canceled.
+    fn give_back<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing>;
+    /// canceling → canceled: the fit has stopped.
+    fn confirm_cancel<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing>;
+
+    // The reaper's side.
+
+    /// Takes back leases that ran out, expires what retention has ended, deletes what was wished away.
+    fn reap(&self) -> Answer<'_, Reaped>;
+    /// Who holds leases.
+    fn owners(&self) -> Answer<'_, Vec<String>>;
+    /// Takes back all leases of a worker that is known to be dead.
+    fn release_owner<'a>(&'a self, owner: &'a str) -> Answer<'a, Vec<Uuid>>;
+}

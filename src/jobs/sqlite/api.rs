@@ -1,0 +1,204 @@
+//! The API's side: users' wishes and reads.
+
+use std::collections::BTreeMap;
+
+use sqlx::Row;
+use uuid::Uuid;
+
+use super::super::{
+    Avatar, AvatarFile, Change, Deletion, Event, Job, ListFilter, NewJob, QueueError, StageTime, State, Timestamp,
+};
+use super::SqliteQueue;
+use super::rows::{self, add_state_event, select_jobs, to_json};
+
+impl SqliteQueue {
+    pub(super) async fn insert_job(&self, new: NewJob) -> Result<Job, QueueError> {
+        let mut tx = self.write().await?;
+        let now = self.env.now();
+        sqlx::query(
+            "INSERT INTO jobs (id, state, options, inputs, clip, created_at, run_at, updated_at, max_attempts) \
+             VALUES (?, 'queued', ?, ?, ?, ?, ?, ?, ?)",
+        )
+        .bind(new.id.to_string())
+        .bind(to_json(&new.options))
+        .bind(to_json(&new.inputs))
+        .bind(to_json(&new.clip))
+        .bind(now.0)
+        .bind(now.0)
+        .bind(now.0)
+        .bind(self.policy.max_attempts)
+        .execute(&mut *tx)
+        .await?;
+        let job = rows::read(&mut tx, new.id).await?.ok_or(sqlx::Error::RowNotFound)?;
+        add_state_event(&mut tx, &job).await?;
+        tx.commit().await?;
+        Ok(job)
+    }
+
+    pub(super) async fn get_job(&self, id: Uuid) -> Result<Option<Job>, QueueError> {
+        rows::read(&mut *self.readers.acquire().await?, id).await
+    }
+
+    pub(super) async fn list_jobs(&self, filter: ListFilter) -> Result<Vec<Job>, QueueError> {
+        let found = sqlx::query(select_jobs!(
+            "WHERE (?1 IS NULL OR j.state = ?1) AND (?2 IS NULL OR j.id < ?2) ORDER BY j.id DESC LIMIT ?3"
+        ))
+        .bind(filter.state.map(State::name))
+        .bind(filter.before.map(|id| id.to_string()))
+        .bind(filter.limit)
+        .fetch_all(&self.readers)
+        .await?;
+        found.iter().map(rows::job).collect()
+    }
+
+    pub(super) async fn cancel_job(&self, id: Uuid) -> Result<Change, QueueError> {
+        let mut tx = self.write().await?;
+        let now = self.env.now();
+        let changed = sqlx::query(
+            "UPDATE jobs SET state = CASE state WHEN 'queued' THEN 'canceled' ELSE 'canceling' END, \
+             finished_at = CASE state WHEN 'queued' THEN ?1 END, \
+             expires_at = CASE state WHEN 'queued' THEN ?2 END, \
+             cancel_requested_at = ?1, updated_at = ?1, version = version + 1 \
+             WHERE id = ?3 AND state IN ('queued', 'running')",
+        )
+        .bind(now.0)
+        .bind(self.expiry(now))
+        .bind(id.to_string())
+        .execute(&mut *tx)
+        .await?
+        .rows_affected();
+        let Some(job) = rows::read(&mut tx, id).await? else { return Ok(Change::Unknown) };
+        if changed > 0 {
+            add_state_event(&mut tx, &job).await?;
+        }
+        tx.commit().await?;
+        Ok(match job.state {
+            State::Canceling | State::Canceled => Change::Done(job),
+            _ => Change::Refused(job),
+        })
+    }
+
+    pub(super) async fn retry_job(&self, id: Uuid) -> Result<Change, QueueError> {
+        let mut tx = self.write().await?;
+        let now = self.env.now();
+        let changed = sqlx::query(
+            "UPDATE jobs SET state = 'queued', attempt = 0, run_at = ?1, error = NULL, finished_at = NULL, \
+             expires_at = NULL, cancel_requested_at = NULL, updated_at = ?1, version = version + 1 \
+             WHERE id = ?2 AND state IN ('failed', 'canceled') AND delete_requested_at IS NULL",
+        )
+        .bind(now.0)
+        .bind(id.to_string())
+        .execute(&mut *tx)
+        .await?
+        .rows_affected();
+        let Some(job) = rows::read(&mut tx, id).await? else { return Ok(Change::Unknown) };
+        if changed == 0 {
+            return Ok(Change::Refused(job));
+        }
+        add_state_event(&mut tx, &job).await?;
+        tx.commit().await?;
+        Ok(Change::Done(job))
+    }
+
+    pub(super) async fn delete_job(&self, id: Uuid) -> Result<Deletion, QueueError> {
+        let mut tx = self.write().await?;
+        let now = self.env.now();
+        let gone = sqlx::query("DELETE FROM jobs WHERE id = ? AND state NOT IN ('running', 'canceling')")
+            .bind(id.to_string())
+            .execute(&mut *tx)
+            .await?
+            .rows_affected();
+        if gone > 0 {
+            tx.commit().await?;
+            return Ok(Deletion::Gone);
+        }
+        sqlx::query(
+            "UPDATE jobs SET state = 'canceling', cancel_requested_at = COALESCE(cancel_requested_at, ?1), \
+             delete_requested_at = COALESCE(delete_requested_at, ?1), updated_at = ?1, version = version + 1 \
+             WHERE id = ?2",
+        )
+        .bind(now.0)
+        .bind(id.to_string())
+        .execute(&mut *tx)
+        .await?;
+        let Some(job) = rows::read(&mut tx, id).await? else { return Ok(Deletion::Unknown) };
+        add_state_event(&mut tx, &job).await?;
+        tx.commit().await?;
+        Ok(Deletion::Pending)
+    }
+
+    pub(super) async fn events_of(&self, job: Uuid, after: i64, limit: u32) -> Result<Vec<Event>, QueueError> {
+        let found = sqlx::query("SELECT * FROM events WHERE job_id = ? AND id > ? ORDER BY id LIMIT ?")
+            .bind(job.to_string())
+            .bind(after)
+            .bind(limit)
+            .fetch_all(&self.readers)
+            .await?;
+        found.iter().map(rows::event).collect()
+    }
+
+    pub(super) async fn newest_event(&self) -> Result<i64, QueueError> {
+        Ok(sqlx::query_scalar("SELECT COALESCE(max(id), 0) FROM events").fetch_one(&self.readers).await?)
+    }
+
+    pub(super) async fn get_avatar(&self, id: Uuid) -> Result<Option<Avatar>, QueueError> {
+        // One transaction, so that the files belong to the row.
+        let mut tx = self.readers.begin().await?;
+        let sql = "SELECT a.*, j.expires_at FROM avatars a JOIN jobs j ON j.id = a.id WHERE a.id = ?";
+        let Some(row) = sqlx::query(sql).bind(id.to_string()).fetch_optional(&mut *tx).await? else {
+            return Ok(None);
+        };
+        let files = sqlx::query("SELECT name, bytes, sha256 FROM avatar_files WHERE avatar_id = ? ORDER BY name")
+            .bind(id.to_string())
+            .fetch_all(&mut *tx)
+            .await?;
+        let files = files.iter().map(|file| {
+            let bytes: i64 = file.try_get("bytes")?;
+            Ok(AvatarFile { name: file.try_get("name")?, bytes: bytes as u64, sha256: file.try_get("sha256")? })
+        });
+        Ok(Some(Avatar {
+            id,
+            epoch: row.try_get("epoch")?,
+            body: row.try_get("body")?,
+            frames: row.try_get("frames")?,
+            camera: rows::json_column(&row, "camera")?,
+            metrics: rows::json_column(&row, "metrics")?,
+            created_at: Timestamp(row.try_get("created_at")?),
+            expires_at: rows::time(&row, "expires_at")?,
+            files: files.collect::<Result<_, sqlx::Error>>()?,
+        }))
+    }
+
+    pub(super) async fn count_states(&self) -> Result<BTreeMap<State, u64>, QueueError> {
+        let mut counts: BTreeMap<State, u64> = State::ALL.into_iter().map(|state| (state, 0)).collect();
+        let found =
+            sqlx::query("SELECT state, count(*) AS n FROM jobs GROUP BY state").fetch_all(&self.readers).await?;
+        for row in found {
+            if let Some(state) = State::from_name(row.try_get("state")?) {
+                counts.insert(state, row.try_get::<i64, _>("n")? as u64);
+            }
+        }
+        Ok(counts)
+    }
+
+    pub(super) async fn sum_stage_times(&self) -> Result<Vec<StageTime>, QueueError> {
+        let found = sqlx::query(
+            "SELECT stage, count(*) AS jobs, sum(secs) AS secs FROM stage_times GROUP BY stage ORDER BY stage",
+        )
+        .fetch_all(&self.readers)
+        .await?;
+        let times = found.iter().map(|row| {
+            Ok(StageTime {
+                stage: row.try_get("stage")?,
+                jobs: row.try_get::<i64, _>("jobs")? as u64,
+                secs: row.try_get("secs")?,
+            })
+        });
+        times.collect()
+    }
+
+    /// When a job that ends now is to be removed.
+    pub(super) fn expiry(&self, now: Timestamp) -> Option<i64> {
+        self.policy.retention.map(|keep| now.plus(keep).0)
+    }
+}

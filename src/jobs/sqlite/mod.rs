@@ -1,0 +1,162 @@
+//! The queue on SQLite.
+//!
+//! WAL with `synchronous=FULL`: what was acknowledged survives a power cut. One connection writes, each transaction a
+//! `BEGIN IMMEDIATE`, so that writers queue up here and between processes wait at most `busy_timeout`; readers have a
+//! pool of their own and never wait for a writer.
+
+mod api;
+mod reaper;
+mod rows;
+#[cfg(test)]
+mod tests;
+mod worker;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+use futures_util::future::BoxFuture;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{Sqlite, SqlitePool, Transaction};
+use uuid::Uuid;
+
+use super::{
+    Avatar, Change, Deletion, Env, Event, Job, JobError, Lease, ListFilter, NewAvatar, NewJob, Policy, ProgressReport,
+    Queue, QueueError, Reaped, StageTime, Standing, State,
+};
+
+/// How long a writer waits for another process's transaction.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(15);
+const READERS: u32 = 4;
+
+/// [`Queue`] in one SQLite file.
+pub struct SqliteQueue {
+    writer: SqlitePool,
+    readers: SqlitePool,
+    env: Env,
+    policy: Policy,
+}
+
+type Tx = Transaction<'static, Sqlite>;
+type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
+
+impl SqliteQueue {
+    /// Opens or makes the database and brings its schema to this version.
+    pub async fn open(path: &Path, env: Env, policy: Policy) -> Result<Self, QueueError> {
+        let options = SqliteConnectOptions::new()
+            .filename(path)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            .foreign_keys(true)
+            .busy_timeout(BUSY_TIMEOUT);
+        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
+        sqlx::migrate!("./migrations").run(&writer).await?;
+        let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
+        Ok(SqliteQueue { writer, readers, env, policy })
+    }
+
+    /// Closes the connections, after which the file may be moved.
+    pub async fn close(&self) {
+        self.readers.close().await;
+        self.writer.close().await;
+    }
+
+    async fn write(&self) -> Result<Tx, QueueError> {
+        Ok(self.writer.begin_with("BEGIN IMMEDIATE").await?)
+    }
+}
+
+impl Queue for SqliteQueue {
+    fn insert(&self, job: NewJob) -> Answer<'_, Job> {
+        Box::pin(self.insert_job(job))
+    }
+
+    fn get(&self, id: Uuid) -> Answer<'_, Option<Job>> {
+        Box::pin(self.get_job(id))
+    }
+
+    fn list(&self, filter: ListFilter) -> Answer<'_, Vec<Job>> {
+        Box::pin(self.list_jobs(filter))
+    }
+
+    fn cancel(&self, id: Uuid) -> Answer<'_, Change> {
+        Box::pin(self.cancel_job(id))
+    }
+
+    fn retry(&self, id: Uuid) -> Answer<'_, Change> {
+        Box::pin(self.retry_job(id))
+    }
+
+    fn delete(&self, id: Uuid) -> Answer<'_, Deletion> {
+        Box::pin(self.delete_job(id))
+    }
+
+    fn events(&self, job: Uuid, after: i64, limit: u32) -> Answer<'_, Vec<Event>> {
+        Box::pin(self.events_of(job, after, limit))
+    }
+
+    fn last_event(&self) -> Answer<'_, i64> {
+        Box::pin(self.newest_event())
+    }
+
+    fn avatar(&self, id: Uuid) -> Answer<'_, Option<Avatar>> {
+        Box::pin(self.get_avatar(id))
+    }
+
+    fn counts(&self) -> Answer<'_, BTreeMap<State, u64>> {
+        Box::pin(self.count_states())
+    }
+
+    fn stage_times(&self) -> Answer<'_, Vec<StageTime>> {
+        Box::pin(self.sum_stage_times())
+    }
+
+    fn claim<'a>(&'a self, owner: &'a str) -> Answer<'a, Option<(Lease, Job)>> {
+        Box::pin(self.claim_job(owner))
+    }
+
+    fn standing<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
+        Box::pin(self.read_standing(lease))
+    }
+
+    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
+        Box::pin(self.renew(lease))
+    }
+
+    fn report<'a>(&'a self, lease: &'a Lease, report: &'a ProgressReport) -> Answer<'a, Standing> {
+        Box::pin(self.write_progress(lease, report))
+    }
+
+    fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> Answer<'a, Standing> {
+        Box::pin(self.write_stage_time(lease, stage, secs))
+    }
+
+    fn succeed<'a>(&'a self, lease: &'a Lease, avatar: NewAvatar) -> Answer<'a, Standing> {
+        Box::pin(self.publish(lease, avatar))
+    }
+
+    fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: bool) -> Answer<'a, Standing> {
+        Box::pin(self.end_badly(lease, error, repeat))
+    }
+
+    fn give_back<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
+        Box::pin(self.return_attempt(lease))
+    }
+
+    fn confirm_cancel<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
+        Box::pin(self.finish_cancel(lease))
+    }
+
+    fn reap(&self) -> Answer<'_, Reaped> {
+        Box::pin(self.reap_all())
+    }
+
+    fn owners(&self) -> Answer<'_, Vec<String>> {
+        Box::pin(self.lease_owners())
+    }
+
+    fn release_owner<'a>(&'a self, owner: &'a str) -> Answer<'a, Vec<Uuid>> {
+        Box::pin(self.release_all_of(owner))
+    }
+}

@@ -1,0 +1,79 @@
+//! The reaper's side.
+
+use uuid::Uuid;
+
+use super::super::{Job, JobError, QueueError, Reaped};
+use super::rows::{self, add_state_event, select_jobs};
+use super::{SqliteQueue, Tx};
+
+impl SqliteQueue {
+    pub(super) async fn reap_all(&self) -> Result<Reaped, QueueError> {
+        let now = self.env.now().0;
+        // Most looks find nothing: they must not take the writer's lock.
+        let work: bool = sqlx::query_scalar(
+            "SELECT EXISTS (SELECT 1 FROM jobs WHERE lease_until <= ?1) \
+             OR EXISTS (SELECT 1 FROM jobs WHERE expires_at <= ?1 AND state != 'expired') \
+             OR EXISTS (SELECT 1 FROM jobs WHERE delete_requested_at IS NOT NULL AND owner IS NULL)",
+        )
+        .bind(now)
+        .fetch_one(&self.readers)
+        .await?;
+        if !work {
+            return Ok(Reaped::default());
+        }
+        let mut tx = self.write().await?;
+        let late = sqlx::query(select_jobs!("WHERE j.lease_until <= ?")).bind(now).fetch_all(&mut *tx).await?;
+        let late = late.iter().map(rows::job).collect::<Result<Vec<Job>, _>>()?;
+        let reclaimed = self.take_back(&mut tx, &late, "its worker was silent for longer than the lease").await?;
+        let expired = self.expire(&mut tx, now).await?;
+        let deleted: Vec<String> =
+            sqlx::query_scalar("DELETE FROM jobs WHERE delete_requested_at IS NOT NULL AND owner IS NULL RETURNING id")
+                .fetch_all(&mut *tx)
+                .await?;
+        tx.commit().await?;
+        Ok(Reaped { reclaimed, expired, deleted: deleted.iter().filter_map(|id| id.parse().ok()).collect() })
+    }
+
+    pub(super) async fn lease_owners(&self) -> Result<Vec<String>, QueueError> {
+        Ok(sqlx::query_scalar("SELECT DISTINCT owner FROM jobs WHERE owner IS NOT NULL")
+            .fetch_all(&self.readers)
+            .await?)
+    }
+
+    pub(super) async fn release_all_of(&self, owner: &str) -> Result<Vec<Uuid>, QueueError> {
+        let mut tx = self.write().await?;
+        let held = sqlx::query(select_jobs!("WHERE j.owner = ?")).bind(owner).fetch_all(&mut *tx).await?;
+        let held = held.iter().map(rows::job).collect::<Result<Vec<Job>, _>>()?;
+        let released = self.take_back(&mut tx, &held, "its worker died").await?;
+        tx.commit().await?;
+        Ok(released)
+    }
+
+    async fn take_back(&self, tx: &mut Tx, jobs: &[Job], why: &str) -> Result<Vec<Uuid>, QueueError> {
+        for job in jobs {
+            let detail = format!("attempt {} of {} ended: {why}", job.attempt, job.max_attempts);
+            self.end_attempt(tx, job, &JobError::new("lease-lost", detail), true).await?;
+        }
+        Ok(jobs.iter().map(|job| job.id).collect())
+    }
+
+    /// The files go; the row stays and tells what the job was.
+    async fn expire(&self, tx: &mut Tx, now: i64) -> Result<Vec<Uuid>, QueueError> {
+        let due = sqlx::query(select_jobs!("WHERE j.expires_at <= ? AND j.state != 'expired'"))
+            .bind(now)
+            .fetch_all(&mut **tx)
+            .await?;
+        let due = due.iter().map(rows::job).collect::<Result<Vec<Job>, _>>()?;
+        for job in &due {
+            sqlx::query("DELETE FROM avatars WHERE id = ?").bind(job.id.to_string()).execute(&mut **tx).await?;
+            sqlx::query("UPDATE jobs SET state = 'expired', updated_at = ?, version = version + 1 WHERE id = ?")
+                .bind(now)
+                .bind(job.id.to_string())
+                .execute(&mut **tx)
+                .await?;
+            let job = rows::read(tx, job.id).await?.ok_or(sqlx::Error::RowNotFound)?;
+            add_state_event(tx, &job).await?;
+        }
+        Ok(due.iter().map(|job| job.id).collect())
+    }
+}

@@ -1,0 +1,75 @@
+//! Parts on their way in.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use tokio::io::{AsyncWriteExt, BufWriter};
+
+/// Large writes: each costs a hop to a blocking thread.
+const BUFFER_BYTES: usize = 1 << 20;
+
+/// A folder of parts that vanishes when it is dropped before it is committed.
+pub struct Upload {
+    folder: PathBuf,
+    committed: bool,
+}
+
+impl Upload {
+    pub(super) fn begin(folder: PathBuf) -> io::Result<Upload> {
+        fs::create_dir(&folder)?;
+        Ok(Upload { folder, committed: false })
+    }
+
+    pub fn path(&self, part: &str) -> PathBuf {
+        self.folder.join(part)
+    }
+
+    /// Opens a part for writing. `part` is a plain file name of ours, never the client's.
+    pub async fn part(&self, part: &str) -> io::Result<PartWriter> {
+        let file = tokio::fs::File::create_new(self.path(part)).await?;
+        Ok(PartWriter { file: BufWriter::with_capacity(BUFFER_BYTES, file), bytes: 0 })
+    }
+
+    pub(super) fn move_to(mut self, to: &Path) -> io::Result<()> {
+        super::sync_dir(&self.folder)?;
+        fs::rename(&self.folder, to)?;
+        self.committed = true;
+        Ok(())
+    }
+}
+
+impl Drop for Upload {
+    fn drop(&mut self) {
+        if !self.committed
+            && let Err(error) = fs::remove_dir_all(&self.folder)
+        {
+            tracing::warn!(folder = %self.folder.display(), %error, "an abandoned upload stays until the next start");
+        }
+    }
+}
+
+/// A part that is being written.
+pub struct PartWriter {
+    file: BufWriter<tokio::fs::File>,
+    bytes: u64,
+}
+
+impl PartWriter {
+    pub async fn write(&mut self, chunk: &[u8]) -> io::Result<()> {
+        self.file.write_all(chunk).await?;
+        self.bytes += chunk.len() as u64;
+        Ok(())
+    }
+
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Flushes the part to the disk; returns its size.
+    pub async fn finish(mut self) -> io::Result<u64> {
+        self.file.flush().await?;
+        self.file.get_ref().sync_all().await?;
+        Ok(self.bytes)
+    }
+}
