@@ -16,6 +16,7 @@ use std::fmt::Write;
 const SHARED: &[(&str, &str)] = &[
     ("shared/hash_grid", include_str!("../../shaders/shared/hash_grid.wgsl")),
     ("shared/linear_index", include_str!("../../shaders/shared/linear_index.wgsl")),
+    ("shared/listed", include_str!("../../shaders/shared/listed.wgsl")),
     ("shared/pinhole", include_str!("../../shaders/shared/pinhole.wgsl")),
     ("shared/rodrigues", include_str!("../../shaders/shared/rodrigues.wgsl")),
     ("shared/workgroup_sum", include_str!("../../shaders/shared/workgroup_sum.wgsl")),

@@ -1,0 +1,207 @@
+//! Host side of `shaders/interpolate/`.
+
+use std::sync::Arc;
+
+use super::Sampling;
+use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder, linear_groups};
+
+/// Pixels of a mask.
+const BLOCK: usize = 32;
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct ScatterParams {
+    background: [f32; 3],
+    n_pixels: u32,
+    capacity: u32,
+    pad: [u32; 3],
+}
+
+struct Kernels {
+    mark: Arc<Kernel>,
+    scan: Arc<Kernel>,
+    forward: Arc<Kernel>,
+    backward: Arc<Kernel>,
+    backward_bary: Arc<Kernel>,
+    scatter: Arc<Kernel>,
+    gather: Arc<Kernel>,
+}
+
+/// A list of pixels on the device. One frame's list at a time: `forward` overwrites it.
+pub struct Interpolate {
+    kernels: Kernels,
+    max_pixels: usize,
+    capacity: usize,
+    masks: Buffer<u32>,
+    firsts: Buffer<u32>,
+    /// `[1]`
+    pub count: Buffer<u32>,
+    /// `[capacity]`
+    pub pixel_index: Buffer<u32>,
+    /// `[capacity, 3]`
+    pub coords: Buffer<f32>,
+}
+
+impl Interpolate {
+    /// For images of up to `max_pixels`, of which up to `capacity` are listed.
+    pub fn new(gpu: &Gpu, max_pixels: usize, capacity: usize) -> Self {
+        let blocks = max_pixels.div_ceil(BLOCK);
+        Self {
+            kernels: kernels(gpu),
+            max_pixels,
+            capacity,
+            masks: gpu.zeros("interpolate/masks", blocks),
+            firsts: gpu.zeros("interpolate/firsts", blocks),
+            count: gpu.zeros("interpolate/count", 1),
+            pixel_index: gpu.zeros("interpolate/pixel_index", capacity),
+            coords: gpu.zeros("interpolate/coords", 3 * capacity),
+        }
+    }
+
+    /// The most pixels that the list can hold for an image of `n_pixels`: the `n_max` of what reads the list.
+    pub fn n_max(&self, n_pixels: usize) -> usize {
+        self.capacity.min(n_pixels)
+    }
+
+    /// Records the list of an image of `n_pixels = H·W`: `count`, `pixel_index`, `coords`.
+    ///
+    /// # Panics
+    /// When the image is larger than `max_pixels` or than its buffers.
+    #[expect(clippy::too_many_arguments, reason = "the operands of the contract")]
+    pub fn forward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        n_pixels: usize,
+        pix_to_face: &Buffer<i32>,
+        bary_coords: &Buffer<f32>,
+        faces: &Buffer<u32>,
+        texcoords: &Buffer<f32>,
+        sampling: Sampling,
+    ) {
+        let shortest = [self.max_pixels, pix_to_face.len(), bary_coords.len() / 3];
+        assert!(shortest.iter().all(|&len| n_pixels <= len), "interpolate: {n_pixels} pixels of {shortest:?}");
+        let blocks = n_pixels.div_ceil(BLOCK);
+        let params: [u32; 4] = [n_pixels as u32, sampling.seed, sampling.threshold(), 0];
+        let buffers: [&dyn AnyBuffer; 2] = [pix_to_face, &self.masks];
+        recorder.dispatch(&self.kernels.mark, &params, &buffers, linear_groups(blocks, 64));
+        let params: [u32; 4] = [blocks as u32, self.capacity as u32, 0, 0];
+        let buffers: [&dyn AnyBuffer; 3] = [&self.masks, &self.firsts, &self.count];
+        recorder.dispatch(&self.kernels.scan, &params, &buffers, [1, 1, 1]);
+        let params: [u32; 4] = [n_pixels as u32, self.capacity as u32, 0, 0];
+        let buffers: [&dyn AnyBuffer; 8] =
+            [&self.masks, &self.firsts, pix_to_face, bary_coords, faces, texcoords, &self.pixel_index, &self.coords];
+        recorder.dispatch(&self.kernels.forward, &params, &buffers, linear_groups(n_pixels, 64));
+    }
+
+    /// Records the gradient by the attribute: adds to `grad_texcoords [V, 3]` what `grad_coords [P, 3]` says.
+    ///
+    /// # Panics
+    /// When `grad_coords` is shorter than the list can be.
+    #[expect(clippy::too_many_arguments, reason = "the operands of the contract")]
+    pub fn backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        n_pixels: usize,
+        pix_to_face: &Buffer<i32>,
+        bary_coords: &Buffer<f32>,
+        faces: &Buffer<u32>,
+        grad_coords: &Buffer<f32>,
+        grad_texcoords: &Buffer<f32>,
+    ) {
+        let n_max = self.checked_n_max(n_pixels, grad_coords);
+        let buffers: [&dyn AnyBuffer; 7] =
+            [&self.count, &self.pixel_index, pix_to_face, bary_coords, faces, grad_coords, grad_texcoords];
+        recorder.dispatch(&self.kernels.backward, &list_params(n_max), &buffers, linear_groups(n_max, 64));
+    }
+
+    /// Records the gradient by the barycentric coordinates: adds to `grad_bary [H, W, 3]` at the listed pixels.
+    ///
+    /// # Panics
+    /// As `backward`, and when `grad_bary` is smaller than the image.
+    #[expect(clippy::too_many_arguments, reason = "the operands of the contract")]
+    pub fn backward_bary(
+        &self,
+        recorder: &mut Recorder<'_>,
+        n_pixels: usize,
+        pix_to_face: &Buffer<i32>,
+        faces: &Buffer<u32>,
+        texcoords: &Buffer<f32>,
+        grad_coords: &Buffer<f32>,
+        grad_bary: &Buffer<f32>,
+    ) {
+        let n_max = self.checked_n_max(n_pixels, grad_coords);
+        assert!(3 * n_pixels <= grad_bary.len(), "interpolate: grad_bary has {} values", grad_bary.len());
+        let buffers: [&dyn AnyBuffer; 7] =
+            [&self.count, &self.pixel_index, pix_to_face, faces, texcoords, grad_coords, grad_bary];
+        recorder.dispatch(&self.kernels.backward_bary, &list_params(n_max), &buffers, linear_groups(n_max, 64));
+    }
+
+    /// Records `image [H, W, 3]`: `rgb [P, 3]` at the listed pixels, `background` elsewhere.
+    ///
+    /// # Panics
+    /// When `rgb` is shorter than the list can be or `image` smaller than `n_pixels`.
+    pub fn scatter(
+        &self,
+        recorder: &mut Recorder<'_>,
+        n_pixels: usize,
+        rgb: &Buffer<f32>,
+        background: [f32; 3],
+        image: &Buffer<f32>,
+    ) {
+        self.checked_n_max(n_pixels, rgb);
+        assert!(3 * n_pixels <= image.len(), "interpolate: the image has {} values", image.len());
+        let (n_pixels32, capacity) = (n_pixels as u32, self.capacity as u32);
+        let params = ScatterParams { background, n_pixels: n_pixels32, capacity, pad: [0; 3] };
+        let buffers: [&dyn AnyBuffer; 4] = [&self.masks, &self.firsts, rgb, image];
+        recorder.dispatch(&self.kernels.scatter, &params, &buffers, linear_groups(n_pixels, 64));
+    }
+
+    /// Records `grad_rgb [P, 3] = grad_image [H, W, 3]` at the listed pixels; overwrites.
+    ///
+    /// # Panics
+    /// As `scatter`.
+    pub fn gather(
+        &self,
+        recorder: &mut Recorder<'_>,
+        n_pixels: usize,
+        grad_image: &Buffer<f32>,
+        grad_rgb: &Buffer<f32>,
+    ) {
+        let n_max = self.checked_n_max(n_pixels, grad_rgb);
+        assert!(3 * n_pixels <= grad_image.len(), "interpolate: the image has {} values", grad_image.len());
+        let buffers: [&dyn AnyBuffer; 4] = [&self.count, &self.pixel_index, grad_image, grad_rgb];
+        recorder.dispatch(&self.kernels.gather, &list_params(n_max), &buffers, linear_groups(n_max, 64));
+    }
+
+    fn checked_n_max(&self, n_pixels: usize, rows: &Buffer<f32>) -> usize {
+        let n_max = self.n_max(n_pixels);
+        assert!(n_pixels <= self.max_pixels, "interpolate: {n_pixels} pixels of {}", self.max_pixels);
+        assert!(3 * n_max <= rows.len(), "interpolate: {} has {} values for {n_max} rows", rows.label(), rows.len());
+        n_max
+    }
+}
+
+fn list_params(n_max: usize) -> [u32; 4] {
+    [n_max as u32, 0, 0, 0]
+}
+
+fn kernels(gpu: &Gpu) -> Kernels {
+    macro_rules! kernel {
+        ($name:literal) => {
+            gpu.kernel(
+                concat!("interpolate/", $name),
+                include_str!(concat!("../../../shaders/interpolate/", $name, ".wgsl")),
+                &[],
+            )
+        };
+    }
+    Kernels {
+        mark: kernel!("mark"),
+        scan: kernel!("scan"),
+        forward: kernel!("forward"),
+        backward: kernel!("backward"),
+        backward_bary: kernel!("backward_bary"),
+        scatter: kernel!("scatter"),
+        gather: kernel!("gather"),
+    }
+}
