@@ -1,4 +1,27 @@
 //! Video, masks, keypoints, camera and poses, checked against each other: one [`Capture`].
+//!
+//! Uploads come from strangers: files are told by content, limits stand before every allocation, and decoders run as
+//! child processes. An error names the part, the frame and what was expected.
+
+mod archive;
+mod calibration;
+mod checks;
+mod child;
+mod clip;
+mod error;
+mod images;
+mod keypoints;
+mod limits;
+mod openpose;
+mod poses;
+mod rectify;
+mod source;
+#[cfg(test)]
+mod tests;
+mod video;
+
+pub use clip::{CaptureInputs, CaptureOptions, Inspection, inspect};
+pub use error::{BadInput, CaptureError, Part};
 
 use crate::camera::Camera;
 

@@ -1,0 +1,243 @@
+//! The camera that came with a clip, or the guess where none came.
+
+use std::io::Read;
+use std::path::Path;
+
+use serde_json::{Map, Value};
+
+use super::{BadInput, CaptureError, Part, limits};
+use crate::camera::Camera;
+
+/// Horizontal field of view along the longer side of a phone's main camera while filming (26–28 mm equivalent, with
+/// the usual crop for stabilisation): 62°.
+const GUESSED_FIELD_OF_VIEW: f64 = 62.0 * std::f64::consts::PI / 180.0;
+
+const EXPECTED: &str = "JSON with width, height, fx, fy, cx, cy in pixels";
+
+/// A camera for images of this size of which nothing is known.
+pub(super) fn guess(width: u32, height: u32) -> Camera {
+    let focal = 0.5 * f64::from(width.max(height)) / (0.5 * GUESSED_FIELD_OF_VIEW).tan();
+    Camera {
+        width,
+        height,
+        fx: focal,
+        fy: focal,
+        cx: 0.5 * f64::from(width),
+        cy: 0.5 * f64::from(height),
+        distortion: [0.0; 5],
+        rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        translation: [0.0; 3],
+    }
+}
+
+pub(super) fn read(path: &Path) -> Result<Camera, CaptureError> {
+    let mut text = Vec::new();
+    let file = std::fs::File::open(path).map_err(|e| CaptureError::internal("cannot open the camera", e))?;
+    let mut file = file.take(limits::CAMERA_BYTES + 1);
+    file.read_to_end(&mut text).map_err(|e| CaptureError::internal("cannot read the camera", e))?;
+    if text.len() as u64 > limits::CAMERA_BYTES {
+        return Err(bad("the file is too large", EXPECTED).into());
+    }
+    Ok(parse(&text)?)
+}
+
+fn bad(message: impl Into<String>, expected: impl Into<String>) -> BadInput {
+    BadInput::new(Part::Camera, message, expected)
+}
+
+fn parse(text: &[u8]) -> Result<Camera, BadInput> {
+    let json: Map<String, Value> =
+        serde_json::from_slice(text).map_err(|e| bad(format!("the JSON cannot be used: {e}"), EXPECTED))?;
+    let size = |key: &str| -> Result<u32, BadInput> {
+        let value = number(&json, key)?;
+        if value.fract() == 0.0 && value >= 1.0 && value <= f64::from(limits::SIDE_PX) {
+            return Ok(value as u32);
+        }
+        Err(bad(format!("`{key}` is {value}"), format!("a whole number of pixels from 1 to {}", limits::SIDE_PX)))
+    };
+    let (width, height) = (size("width")?, size("height")?);
+    let camera = Camera {
+        width,
+        height,
+        fx: focal(&json, "fx", width.max(height))?,
+        fy: focal(&json, "fy", width.max(height))?,
+        cx: centre(&json, "cx", width)?,
+        cy: centre(&json, "cy", height)?,
+        distortion: distortion(&json)?,
+        rotation: rotation(&json)?,
+        translation: vector(&json, "translation")?.unwrap_or([0.0; 3]),
+    };
+    if !(0.5..=2.0).contains(&(camera.fx / camera.fy)) {
+        return Err(bad(format!("`fx` is {}, `fy` is {}", camera.fx, camera.fy), "focal lengths within a factor of 2"));
+    }
+    Ok(camera)
+}
+
+fn number(json: &Map<String, Value>, key: &str) -> Result<f64, BadInput> {
+    match json.get(key) {
+        None => Err(bad(format!("`{key}` is missing"), EXPECTED)),
+        // Numbers of JSON are finite.
+        Some(value) => value.as_f64().ok_or_else(|| bad(format!("`{key}` is {}", short(value)), "a number")),
+    }
+}
+
+fn short(value: &Value) -> String {
+    value.to_string().chars().take(60).collect()
+}
+
+fn focal(json: &Map<String, Value>, key: &str, longer_side: u32) -> Result<f64, BadInput> {
+    let value = number(json, key)?;
+    let (least, most) = (0.2 * f64::from(longer_side), 20.0 * f64::from(longer_side));
+    if (least..=most).contains(&value) {
+        return Ok(value);
+    }
+    Err(bad(format!("the focal length `{key}` is {value}"), format!("pixels, from {least} to {most} for these images")))
+}
+
+fn centre(json: &Map<String, Value>, key: &str, side: u32) -> Result<f64, BadInput> {
+    let (value, side) = (number(json, key)?, f64::from(side));
+    if (-0.5 * side..=1.5 * side).contains(&value) {
+        return Ok(value);
+    }
+    Err(bad(format!("the principal point `{key}` is {value}"), format!("pixels, near {}", 0.5 * side)))
+}
+
+/// Numbers of a list, nested or not.
+fn numbers(key: &str, value: &Value) -> Result<Vec<f64>, BadInput> {
+    let is_wrong = || bad(format!("`{key}` is {}", short(value)), "a list of numbers");
+    let list = value.as_array().ok_or_else(is_wrong)?;
+    let mut flat = Vec::new();
+    for item in list {
+        match item.as_array() {
+            Some(row) => flat.extend(row.iter().map(Value::as_f64)),
+            None => flat.push(item.as_f64()),
+        }
+    }
+    flat.into_iter().collect::<Option<Vec<f64>>>().ok_or_else(is_wrong)
+}
+
+/// `distortion: [k1, k2, p1, p2, k3]` (shorter is fine), `distortion: {k1: …}`, or `k1` … beside the other fields.
+fn distortion(json: &Map<String, Value>) -> Result<[f64; 5], BadInput> {
+    const NAMES: [&str; 5] = ["k1", "k2", "p1", "p2", "k3"];
+    let mut coefficients = [0.0; 5];
+    let named = match json.get("distortion") {
+        None | Some(Value::Null) => json,
+        Some(Value::Object(named)) => named,
+        Some(list) => {
+            let list = numbers("distortion", list)?;
+            if list.len() > 5 {
+                return Err(bad(format!("`distortion` has {} numbers", list.len()), "k1, k2, p1, p2, k3"));
+            }
+            coefficients[..list.len()].copy_from_slice(&list);
+            return Ok(coefficients);
+        }
+    };
+    for (name, coefficient) in NAMES.iter().zip(&mut coefficients) {
+        if named.contains_key(*name) {
+            *coefficient = number(named, name)?;
+        }
+    }
+    Ok(coefficients)
+}
+
+fn vector<const N: usize>(json: &Map<String, Value>, key: &str) -> Result<Option<[f64; N]>, BadInput> {
+    let Some(value) = json.get(key).filter(|value| !value.is_null()) else { return Ok(None) };
+    let list = numbers(key, value)?;
+    let count = list.len();
+    list.try_into().map(Some).map_err(|_| bad(format!("`{key}` has {count} numbers"), format!("{N} numbers")))
+}
+
+fn rotation(json: &Map<String, Value>) -> Result<[f64; 9], BadInput> {
+    let Some(r) = vector::<9>(json, "rotation")? else { return Ok([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]) };
+    let dot = |a: usize, b: usize| -> f64 { (0..3).map(|k| r[3 * a + k] * r[3 * b + k]).sum() };
+    let identity = |a: usize, b: usize| f64::from(u8::from(a == b));
+    let error = (0..9).map(|i| (dot(i / 3, i % 3) - identity(i / 3, i % 3)).abs()).fold(0.0, f64::max);
+    let determinant =
+        r[0] * (r[4] * r[8] - r[5] * r[7]) - r[1] * (r[3] * r[8] - r[5] * r[6]) + r[2] * (r[3] * r[7] - r[4] * r[6]);
+    if error < 1e-3 && determinant > 0.0 {
+        return Ok(r);
+    }
+    Err(bad("`rotation` is no rotation", "3×3 orthonormal rows (row-major) with determinant 1"))
+}
+
+/// The camera must be of the video's very images.
+pub(super) fn check_size(camera: &Camera, width: u32, height: u32) -> Result<(), BadInput> {
+    if (camera.width, camera.height) == (width, height) {
+        return Ok(());
+    }
+    let ratio = f64::from(camera.width) / f64::from(width);
+    let hint = if (camera.width, camera.height) == (height, width) {
+        "; the video's rotation tag turns its images".to_owned()
+    } else if (ratio - f64::from(camera.height) / f64::from(height)).abs() < 1e-9 {
+        format!("; divide width, height, fx, fy, cx and cy by {ratio} if the video was scaled")
+    } else {
+        String::new()
+    };
+    let message = format!("the camera is of {}×{} images{hint}", camera.width, camera.height);
+    Err(bad(message, format!("{width}×{height}, the video's size")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = r#"{"width": 360, "height": 640, "fx": 600, "fy": 600.5, "cx": 180, "cy": 320, "model": "x"}"#;
+
+    fn with(key: &str, value: &str) -> Result<Camera, BadInput> {
+        let mut json: Map<String, Value> = serde_json::from_str(GOOD).unwrap();
+        json.insert(key.to_owned(), serde_json::from_str(value).unwrap());
+        parse(serde_json::to_string(&json).unwrap().as_bytes())
+    }
+
+    #[test]
+    fn a_plain_camera_and_all_ways_to_write_distortion() {
+        let camera = parse(GOOD.as_bytes()).unwrap();
+        assert_eq!((camera.width, camera.fy, camera.distortion), (360, 600.5, [0.0; 5]));
+        let want = [0.1, -0.2, 0.0, 0.0, 0.0];
+        assert_eq!(with("distortion", "[0.1, -0.2]").unwrap().distortion, want);
+        assert_eq!(with("distortion", "[[0.1, -0.2, 0, 0, 0]]").unwrap().distortion, want);
+        assert_eq!(with("distortion", r#"{"k1": 0.1, "k2": -0.2}"#).unwrap().distortion, want);
+        assert_eq!(with("k3", "0.5").unwrap().distortion, [0.0, 0.0, 0.0, 0.0, 0.5]);
+    }
+
+    #[test]
+    fn what_no_camera_has_is_refused() {
+        for (key, value, message) in [
+            ("fx", "0", "the focal length `fx` is 0"),
+            ("fx", "-600", "the focal length `fx` is -600"),
+            ("fy", "\"600\"", "`fy` is \"600\""),
+            ("fy", "1e9", "the focal length `fy` is 1000000000"),
+            ("cx", "null", "`cx` is null"),
+            ("cy", "5000", "the principal point `cy` is 5000"),
+            ("width", "360.5", "`width` is 360.5"),
+            ("width", "-1", "`width` is -1"),
+            ("distortion", "[1, 2, 3, 4, 5, 6]", "`distortion` has 6 numbers"),
+            ("distortion", "[null]", "`distortion` is [null]"),
+            ("rotation", "[[1, 0, 0], [0, 1, 0], [0, 0, 2]]", "`rotation` is no rotation"),
+            ("rotation", "[1, 0, 0, 0, 1, 0, 0, 0, -1]", "`rotation` is no rotation"),
+            ("rotation", "[1, 0]", "`rotation` has 2 numbers"),
+            ("translation", "[1]", "`translation` has 1 numbers"),
+        ] {
+            let error = with(key, value).unwrap_err();
+            assert!(error.message.starts_with(message), "{key} {value}: {error}");
+        }
+        assert!(parse(b"[]").unwrap_err().message.starts_with("the JSON cannot be used"));
+        assert_eq!(parse(b"{}").unwrap_err().message, "`width` is missing");
+    }
+
+    #[test]
+    fn a_camera_of_other_images_is_explained() {
+        let camera = parse(GOOD.as_bytes()).unwrap();
+        assert!(check_size(&camera, 360, 640).is_ok());
+        let error = check_size(&camera, 180, 320).unwrap_err().to_string();
+        assert!(error.contains("360×640 images; divide width, height, fx, fy, cx and cy by 2"), "{error}");
+        assert!(check_size(&camera, 640, 360).unwrap_err().message.contains("rotation tag"));
+    }
+
+    #[test]
+    fn the_guess_is_a_phone() {
+        let camera = guess(1080, 1920);
+        assert!((camera.fx / 1920.0 - 0.832).abs() < 1e-3 && camera.fx == camera.fy);
+        assert_eq!((camera.cx, camera.cy), (540.0, 960.0));
+    }
+}

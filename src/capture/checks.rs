@@ -1,0 +1,245 @@
+//! What is looked at in every frame: whether the mask holds a person, and whether the keypoints are that person's.
+
+use super::keypoints::{Keypoints, Point};
+use super::rectify::{Rect, is_foreground};
+use super::source::Picture;
+use super::{BadInput, Part};
+
+/// The masks seen so far.
+#[derive(Default)]
+pub(super) struct MaskCheck {
+    frames: usize,
+    /// The first frame without a person, and its number of foreground pixels.
+    first_empty: Option<(usize, usize)>,
+    empty: usize,
+    brightest: u8,
+    covered: usize,
+    at_border: usize,
+}
+
+impl MaskCheck {
+    /// The bounding box of the foreground; `None`, and an error at the end, where there is (nearly) none.
+    pub fn look(&mut self, frame: usize, mask: &Picture) -> Option<Rect> {
+        let (width, height) = (mask.width as usize, mask.height as usize);
+        let (mut x0, mut x1, mut y0, mut y1, mut pixels) = (width, 0, height, 0, 0);
+        for (y, row) in mask.data.chunks_exact(width).enumerate() {
+            let Some(first) = row.iter().position(|&v| is_foreground(v)) else { continue };
+            let last = row.iter().rposition(|&v| is_foreground(v)).unwrap_or(first);
+            (x0, x1) = (x0.min(first), x1.max(last + 1));
+            (y0, y1) = (y0.min(y), y + 1);
+            pixels += row[first..=last].iter().filter(|&&v| is_foreground(v)).count();
+        }
+        self.frames += 1;
+        // A speck is no person either.
+        if pixels < (width * height / 20_000).max(4) {
+            self.brightest = self.brightest.max(mask.data.iter().copied().max().unwrap_or(0));
+            self.first_empty.get_or_insert((frame, pixels));
+            self.empty += 1;
+            return None;
+        }
+        self.covered += usize::from(pixels * 5 > width * height * 4);
+        self.at_border += usize::from(x0 == 0 || y0 == 0 || x1 == width || y1 == height);
+        Some(Rect { x0: x0 as u32, y0: y0 as u32, x1: x1 as u32, y1: y1 as u32 })
+    }
+
+    pub fn finish(&self, warnings: &mut Vec<String>) -> Result<(), BadInput> {
+        let expected = "the person's pixels at 128 or more, best 255";
+        if let Some((frame, pixels)) = self.first_empty {
+            if self.empty == self.frames {
+                let message =
+                    format!("all {} masks are empty; their brightest pixel is {}", self.frames, self.brightest);
+                return Err(BadInput::new(Part::Masks, message, expected));
+            }
+            let also = if self.empty > 1 { format!("; {} masks are", self.empty) } else { String::new() };
+            let message = format!("the mask is empty, {pixels} pixels are foreground{also}");
+            return Err(BadInput::new(Part::Masks, message, expected).at(frame));
+        }
+        if 2 * self.covered > self.frames {
+            warnings.push(format!("masks: {} of them cover most of the image: inverted?", self.covered));
+        }
+        if self.at_border > 0 {
+            let count = format!("{} of {}", self.at_border, self.frames);
+            warnings.push(format!("masks: the person touches the image's border in {count} frames"));
+        }
+        Ok(())
+    }
+}
+
+/// The keypoints seen so far.
+#[derive(Default)]
+pub(super) struct KeypointCheck {
+    seen: usize,
+    off_mask: usize,
+    outside: usize,
+    /// Frames without anybody on the mask.
+    nobody: Vec<usize>,
+}
+
+impl KeypointCheck {
+    /// The points of the person on the mask: of several, the one with the most confidence there. Points far outside
+    /// the image become unseen, and unseen points zero.
+    pub fn choose(&mut self, frame: usize, keypoints: &Keypoints, mask: &Picture) -> Vec<Point> {
+        let mut best: Option<(f64, &Vec<Point>)> = None;
+        let people = &keypoints.frames[frame];
+        for person in people {
+            let on_mask = person.iter().filter(|p| p[2] > 0.0 && is_near_foreground(mask, p));
+            let score: f64 = on_mask.map(|p| p[2]).sum();
+            // With one person, the mask has nothing to decide.
+            if (score > 0.0 || people.len() == 1) && best.is_none_or(|(most, _)| score > most) {
+                best = Some((score, person));
+            }
+        }
+        let mut points = best.map_or_else(|| vec![[0.0; 3]; keypoints.format.points], |(_, person)| person.clone());
+        for point in &mut points {
+            self.check(point, mask);
+        }
+        if points.iter().all(|point| point[2] == 0.0) {
+            self.nobody.push(frame);
+        }
+        points
+    }
+
+    fn check(&mut self, point: &mut Point, mask: &Picture) {
+        if point[2] > 0.0 {
+            self.seen += 1;
+            let (width, height) = (f64::from(mask.width), f64::from(mask.height));
+            let margin = 0.05 * width.max(height);
+            let inside = |value: f64, side: f64| (-margin..=side + margin).contains(&value);
+            if !inside(point[0], width) || !inside(point[1], height) {
+                self.outside += 1;
+                point[2] = 0.0;
+            } else if !is_near_foreground(mask, point) {
+                self.off_mask += 1;
+            }
+        }
+        if point[2] == 0.0 {
+            *point = [0.0; 3];
+        }
+    }
+
+    pub fn finish(&self, warnings: &mut Vec<String>) -> Result<(), BadInput> {
+        let expected = "pixels of the video's images, x from the left and y from the top, on the person of the masks";
+        let Self { seen, off_mask, outside, nobody } = self;
+        if *seen == 0 {
+            let message = "no point of any frame has a confidence above 0";
+            return Err(BadInput::new(Part::Keypoints, message, "the confidence of each point, 0 only where not seen"));
+        }
+        if 2 * outside > *seen {
+            let message = format!("{outside} of {seen} points lie far outside the images");
+            return Err(BadInput::new(Part::Keypoints, message, expected));
+        }
+        if 2 * off_mask > seen - outside {
+            let message = format!("{off_mask} of {seen} points lie off the masks");
+            return Err(BadInput::new(Part::Keypoints, message, expected));
+        }
+        if *outside > 0 {
+            warnings.push(format!("keypoints: {outside} points far outside the images are taken as not seen"));
+        }
+        if 5 * off_mask > *seen {
+            warnings.push(format!("keypoints: {off_mask} of {seen} points lie off the masks"));
+        }
+        if let Some(first) = nobody.first() {
+            let count = nobody.len();
+            warnings.push(format!("keypoints: nobody is seen in {count} frames, the first of them {first}"));
+        }
+        Ok(())
+    }
+}
+
+/// Whether there is foreground within 2 % of the image's longer side of a point.
+fn is_near_foreground(mask: &Picture, point: &Point) -> bool {
+    let (width, height) = (i64::from(mask.width), i64::from(mask.height));
+    let radius = (width.max(height) / 50).max(3);
+    // Casts saturate, so that absurd places are simply far away.
+    let (x, y) = (point[0].floor() as i64, point[1].floor() as i64);
+    let range = |centre: i64, side: i64| {
+        centre.saturating_sub(radius).clamp(0, side) as usize..centre.saturating_add(radius + 1).clamp(0, side) as usize
+    };
+    let columns = range(x, width);
+    let mut rows = range(y, height);
+    rows.any(|row| {
+        let start = row * width as usize;
+        mask.data[start + columns.start..start + columns.end].iter().any(|&v| is_foreground(v))
+    })
+}
+
+/// Coordinates in [0, 1] are a mistake that all other checks would call something else.
+pub(super) fn check_not_normalised(keypoints: &Keypoints) -> Result<(), BadInput> {
+    let seen = keypoints.frames.iter().flatten().flatten().filter(|point| point[2] > 0.0);
+    let far = seen
+        .map(|point| point[0].abs().max(point[1].abs()))
+        .fold(None, |most: Option<f64>, far| Some(most.map_or(far, |most| most.max(far))));
+    match far {
+        Some(far) if far <= 2.0 => {
+            let message = format!("no coordinate is above {far}: they seem to be fractions of the image");
+            Err(BadInput::new(Part::Keypoints, message, "pixels of the video's images"))
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::keypoints::COCO17;
+    use super::*;
+
+    /// 100×80, foreground where 40 ≤ x < 60 and 10 ≤ y < 70.
+    fn mask() -> Picture {
+        let inside = |i: usize| (40..60).contains(&(i % 100)) && (10..70).contains(&(i / 100));
+        let data = (0..100 * 80).map(|i| if inside(i) { 200 } else { 100 }).collect();
+        Picture { width: 100, height: 80, data }
+    }
+
+    fn people(people: Vec<Vec<Point>>) -> Keypoints {
+        Keypoints { format: COCO17, frames: vec![people], warnings: Vec::new() }
+    }
+
+    #[test]
+    fn the_box_of_a_mask() {
+        let mut check = MaskCheck::default();
+        assert_eq!(check.look(0, &mask()), Some(Rect { x0: 40, y0: 10, x1: 60, y1: 70 }));
+        assert!(check.finish(&mut Vec::new()).is_ok());
+        let speck = Picture { width: 100, height: 80, data: vec![1; 8000] };
+        assert_eq!(check.look(1, &speck), None);
+        let error = check.finish(&mut Vec::new()).unwrap_err();
+        assert_eq!(error.frame, Some(1));
+    }
+
+    #[test]
+    fn of_several_people_the_one_on_the_mask_is_taken() {
+        let beside = vec![[10.0, 40.0, 1.0]; 17];
+        let on = vec![[50.0, 40.0, 0.4]; 17];
+        let mut check = KeypointCheck::default();
+        let points = check.choose(0, &people(vec![beside.clone(), on.clone()]), &mask());
+        assert_eq!(points, on);
+        let points = check.choose(0, &people(vec![beside.clone(), beside]), &mask());
+        assert_eq!(points, vec![[0.0; 3]; 17]);
+        let mut warnings = Vec::new();
+        check.finish(&mut warnings).unwrap();
+        assert_eq!(warnings, ["keypoints: nobody is seen in 1 frames, the first of them 0"]);
+    }
+
+    #[test]
+    fn points_outside_become_unseen_and_most_points_off_the_mask_are_an_error() {
+        let mut person = vec![[50.0, 40.0, 1.0]; 17];
+        person[3] = [-3.0, 40.0, 1.0];
+        person[4] = [1e300, -1e300, 1.0];
+        let mut check = KeypointCheck::default();
+        let points = check.choose(0, &people(vec![person]), &mask());
+        assert_eq!((points[3], points[4]), ([-3.0, 40.0, 1.0], [0.0; 3]));
+        let mut warnings = Vec::new();
+        check.finish(&mut warnings).unwrap();
+        assert_eq!(warnings, ["keypoints: 1 points far outside the images are taken as not seen"]);
+
+        let mut check = KeypointCheck::default();
+        check.choose(0, &people(vec![vec![[10.0, 40.0, 1.0]; 17]]), &mask());
+        assert_eq!(check.finish(&mut Vec::new()).unwrap_err().message, "17 of 17 points lie off the masks");
+    }
+
+    #[test]
+    fn fractions_are_recognised() {
+        assert!(check_not_normalised(&people(vec![vec![[0.5, 0.9, 1.0]; 17]])).is_err());
+        assert!(check_not_normalised(&people(vec![vec![[0.0, 0.0, 0.0]; 17]])).is_ok());
+        assert!(check_not_normalised(&people(vec![vec![[0.5, 90.0, 1.0]; 17]])).is_ok());
+    }
+}

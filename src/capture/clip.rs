@@ -1,0 +1,304 @@
+//! The walk through a clip: video and masks frame by frame, everything checked against everything.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use super::checks::{KeypointCheck, MaskCheck, check_not_normalised};
+use super::keypoints::{Keypoints, Point};
+use super::limits::{INSPECT_TIME, LOAD_TIME};
+use super::rectify::{Rect, Rectify};
+use super::source::{Picture, Pixels, Source};
+use super::{BadInput, Capture, CaptureError, Frame, KnownPoses, Part, calibration, keypoints, poses};
+use crate::camera::Camera;
+
+/// The files of an upload. Their names mean nothing: each is told by its content.
+#[derive(Clone, Debug)]
+pub struct CaptureInputs {
+    /// Anything that FFmpeg reads, or a zip of PNG or JPEG images.
+    pub video: PathBuf,
+    /// A video or a zip of images, one a frame of the video and of its size; foreground ≥ 128.
+    pub masks: PathBuf,
+    /// Our JSON, or a zip of OpenPose's.
+    pub keypoints: PathBuf,
+    /// JSON; without it the focal length is guessed.
+    pub camera: Option<PathBuf>,
+    /// npz of known poses, one a frame of the video.
+    pub poses: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct CaptureOptions {
+    /// At most this many frames are kept, evenly spread.
+    pub max_frames: u32,
+    /// Images are scaled down until their longer side is no longer than this.
+    pub max_side_px: u32,
+}
+
+/// What a clip holds, found without keeping any picture.
+#[derive(Clone, Debug)]
+pub struct Inspection {
+    pub frames: u32,
+    /// Of the video after its rotation tag, pixels.
+    pub width: u32,
+    pub height: u32,
+    pub fps: f64,
+    /// `coco17`, `coco18` or `body25`
+    pub keypoint_format: String,
+    pub has_camera: bool,
+    pub has_poses: bool,
+    pub warnings: Vec<String>,
+}
+
+/// Checks a clip whole, before a job is accepted: safe on hostile files and cheaper than [`Capture::load`].
+pub fn inspect(inputs: &CaptureInputs) -> Result<Inspection, CaptureError> {
+    let mut clip = Clip::open(inputs, true, Instant::now() + INSPECT_TIME)?;
+    clip.walk(|_| false, |_, _| Ok(()))?;
+    let (width, height) = clip.size;
+    Ok(Inspection {
+        frames: clip.video.count as u32,
+        width,
+        height,
+        fps: clip.fps(),
+        keypoint_format: clip.keypoints.format.name.to_owned(),
+        has_camera: clip.camera.is_some(),
+        has_poses: clip.poses.is_some(),
+        warnings: clip.warnings,
+    })
+}
+
+impl Capture {
+    /// Decodes, checks, undistorts, scales, subsamples and crops a clip. Only the crops of the frames kept are ever in
+    /// memory together.
+    pub fn load(inputs: &CaptureInputs, options: &CaptureOptions) -> Result<Self, CaptureError> {
+        let mut clip = Clip::open(inputs, false, Instant::now() + LOAD_TIME)?;
+        let kept = subsample(clip.keypoints.frames.len(), options.max_frames as usize);
+        let mut rectify = None;
+        let mut frames = Vec::with_capacity(kept.len());
+        let camera = clip.camera.clone();
+        clip.walk(
+            |index| kept.binary_search(&index).is_ok(),
+            |size, still| {
+                if rectify.is_none() {
+                    let camera = camera.clone().unwrap_or_else(|| calibration::guess(size.0, size.1));
+                    rectify = Some(Rectify::new(camera, options.max_side_px.max(16))?);
+                }
+                if let (Some(rectify), Some(bounds)) = (&rectify, still.bounds) {
+                    frames.push(cut_out(rectify, &still, bounds)?);
+                }
+                Ok(())
+            },
+        )?;
+        let Some(rectify) = rectify else {
+            return Err(BadInput::new(Part::Video, "0 frames could be read", "at least one frame").into());
+        };
+        Ok(Self {
+            camera: rectify.camera,
+            camera_estimated: clip.camera.is_none(),
+            fps: clip.fps(),
+            frames,
+            keypoint_format: clip.keypoints.format.name.to_owned(),
+            poses: clip.poses.as_ref().map(|poses| poses.subset(&kept)),
+            warnings: clip.warnings,
+        })
+    }
+}
+
+/// `most` of `count` frames, evenly spread from the first one on.
+fn subsample(count: usize, most: usize) -> Vec<usize> {
+    let kept = count.min(most.max(1));
+    (0..kept).map(|i| i * count / kept).collect()
+}
+
+/// One frame of the walk.
+struct Still<'a> {
+    index: usize,
+    /// Without pixels where the frame is not kept.
+    image: &'a Picture,
+    mask: &'a Picture,
+    /// Of the mask's foreground.
+    bounds: Option<Rect>,
+    points: Vec<Point>,
+}
+
+/// The parts of an upload, opened.
+struct Clip {
+    video: Source,
+    masks: Source,
+    keypoints: Keypoints,
+    camera: Option<Camera>,
+    poses: Option<KnownPoses>,
+    size: (u32, u32),
+    warnings: Vec<String>,
+}
+
+impl Clip {
+    /// Reads the small parts and starts the decoders. With `fast`, the video's pixels are not good for more than checks.
+    fn open(inputs: &CaptureInputs, fast: bool, deadline: Instant) -> Result<Self, CaptureError> {
+        let camera = inputs.camera.as_deref().map(calibration::read).transpose()?;
+        let mut keypoints = keypoints::read(&inputs.keypoints)?;
+        check_not_normalised(&keypoints)?;
+        let poses = inputs.poses.as_deref().map(poses::read).transpose()?;
+        let pixels = if fast { Pixels::Mask } else { Pixels::Rgb };
+        let mut video = Source::open(Part::Video, &inputs.video, pixels, fast, deadline)?;
+        let mut masks = Source::open(Part::Masks, &inputs.masks, Pixels::Mask, false, deadline)?;
+        let mut warnings = std::mem::take(&mut video.warnings);
+        warnings.append(&mut masks.warnings);
+        warnings.append(&mut keypoints.warnings);
+        if video.fps.is_none() {
+            warnings.push("video: images tell no frame rate: 30 a second assumed".to_owned());
+        }
+        let (poses, odd) = poses.map_or((None, Vec::new()), |(poses, odd)| (Some(poses), odd));
+        warnings.extend(odd);
+        Ok(Self { video, masks, keypoints, camera, poses, size: (0, 0), warnings })
+    }
+
+    fn fps(&self) -> f64 {
+        self.video.fps.unwrap_or(30.0)
+    }
+
+    /// Goes through all frames; `keep` tells of which the pixels are wanted, and `visit` gets those.
+    fn walk(
+        &mut self,
+        keep: impl Fn(usize) -> bool,
+        mut visit: impl FnMut((u32, u32), Still<'_>) -> Result<(), BadInput>,
+    ) -> Result<(), CaptureError> {
+        let (mut mask_check, mut keypoint_check) = (MaskCheck::default(), KeypointCheck::default());
+        loop {
+            let index = self.video.count;
+            let expected = index < self.keypoints.frames.len();
+            let image = self.video.next(expected && keep(index))?;
+            let mask = self.masks.next(true)?;
+            if let Some(image) = &image {
+                self.check_size(index, image)?;
+            }
+            if let Some(mask) = &mask {
+                self.check_mask_size(self.masks.count - 1, mask)?;
+            }
+            match (image, mask) {
+                (Some(image), Some(mask)) if expected => {
+                    let bounds = mask_check.look(index, &mask);
+                    let points = keypoint_check.choose(index, &self.keypoints, &mask);
+                    if keep(index) {
+                        visit(self.size, Still { index, image: &image, mask: &mask, bounds, points })?;
+                    }
+                }
+                (None, None) => break,
+                // One part is longer than another: the rest is only counted.
+                _ => {}
+            }
+        }
+        self.check_counts()?;
+        mask_check.finish(&mut self.warnings)?;
+        keypoint_check.finish(&mut self.warnings)?;
+        Ok(())
+    }
+
+    /// The first frame fixes the size, and the camera must be of it.
+    fn check_size(&mut self, index: usize, image: &Picture) -> Result<(), BadInput> {
+        if index == 0 {
+            self.size = (image.width, image.height);
+            return self
+                .camera
+                .as_ref()
+                .map_or(Ok(()), |camera| calibration::check_size(camera, image.width, image.height));
+        }
+        let (width, height) = self.size;
+        if (image.width, image.height) == self.size {
+            return Ok(());
+        }
+        let message = format!("the image is {}×{}", image.width, image.height);
+        Err(BadInput::new(Part::Video, message, format!("{width}×{height}, as the first image")).at(index))
+    }
+
+    fn check_mask_size(&self, index: usize, mask: &Picture) -> Result<(), BadInput> {
+        let (width, height) = self.size;
+        if (mask.width, mask.height) == self.size {
+            return Ok(());
+        }
+        let hint = if (mask.height, mask.width) == self.size { ", turned against the video" } else { "" };
+        let message = format!("the mask is {}×{}{hint}", mask.width, mask.height);
+        Err(BadInput::new(Part::Masks, message, format!("{width}×{height}, as the video")).at(index))
+    }
+
+    fn check_counts(&mut self) -> Result<(), BadInput> {
+        let (frames, masks, keypoints) = (self.video.count, self.masks.count, self.keypoints.frames.len());
+        let poses = self.poses.as_ref().map_or(frames, |poses| poses.poses.len());
+        let counts = [(Part::Masks, masks), (Part::Keypoints, keypoints), (Part::Poses, poses)];
+        let odd = counts.into_iter().find(|(_, count)| *count != frames);
+        // A damaged file is the better explanation of a count that differs.
+        for (part, source) in [(Part::Video, &self.video), (Part::Masks, &self.masks)] {
+            let Some(damage) = source.damage() else { continue };
+            if odd.is_some() {
+                let message = format!("the file is damaged, {} frames could be read: {damage}", source.count);
+                return Err(BadInput::new(part, message, "a whole video file"));
+            }
+            self.warnings.push(format!("{part}: the file is damaged but has all its frames: {damage}"));
+        }
+        match odd {
+            None => Ok(()),
+            Some((part, count)) => {
+                let message = format!("there are {count} frames of {part}, the video has {frames}");
+                Err(BadInput::new(part, message, format!("{frames}, one for each frame of the video")))
+            }
+        }
+    }
+}
+
+/// The rectified crop round the person: the mask's box, and a margin of 12 pixels and 4 % of its longer side.
+fn cut_out(rectify: &Rectify, still: &Still<'_>, bounds: Rect) -> Result<Frame, BadInput> {
+    let (width, height) = (rectify.camera.width, rectify.camera.height);
+    let rough = rectify.bounds(bounds);
+    let Some(exact) = foreground_box(&rectify.mask(still.mask, rough), rough) else {
+        let message = format!("nothing of the mask is left at {width}×{height} pixels");
+        return Err(BadInput::new(Part::Masks, message, "a person that is larger in the image").at(still.index));
+    };
+    let margin = 12 + exact.width().max(exact.height()) / 25;
+    let crop = exact.grown(margin, width, height);
+    let keypoints = still.points.iter().map(|&[x, y, confidence]| {
+        let seen = if confidence > 0.0 { rectify.rectified_from_uploaded(x, y) } else { None };
+        seen.map_or([0.0; 3], |(x, y)| [x as f32, y as f32, confidence as f32])
+    });
+    Ok(Frame {
+        index: still.index as u32,
+        x0: crop.x0,
+        y0: crop.y0,
+        width: crop.width(),
+        height: crop.height(),
+        rgb: rectify.rgb(still.image, crop),
+        mask: rectify.mask(still.mask, crop),
+        keypoints: keypoints.collect(),
+    })
+}
+
+/// The box of the set pixels of a mask that covers `rect`, in the image's coordinates.
+fn foreground_box(mask: &[u8], rect: Rect) -> Option<Rect> {
+    let (mut x0, mut y0, mut x1, mut y1) = (u32::MAX, u32::MAX, 0, 0);
+    for (row, y) in mask.chunks_exact(rect.width().max(1) as usize).zip(rect.y0..) {
+        let Some(first) = row.iter().position(|&v| v > 0) else { continue };
+        let last = row.iter().rposition(|&v| v > 0).unwrap_or(first);
+        (x0, x1) = (x0.min(rect.x0 + first as u32), x1.max(rect.x0 + last as u32 + 1));
+        (y0, y1) = (y0.min(y), y + 1);
+    }
+    (x0 < x1).then_some(Rect { x0, y0, x1, y1 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_kept_evenly() {
+        assert_eq!(subsample(60, 100), (0..60).collect::<Vec<_>>());
+        assert_eq!(subsample(10, 4), [0, 2, 5, 7]);
+        assert_eq!(subsample(10, 0), [0]);
+        assert!(subsample(0, 4).is_empty());
+    }
+
+    #[test]
+    fn the_box_of_a_part_of_a_mask() {
+        let rect = Rect { x0: 10, y0: 20, x1: 14, y1: 23 };
+        let mask = [0, 0, 0, 0, 0, 255, 255, 0, 0, 255, 0, 0];
+        assert_eq!(foreground_box(&mask, rect), Some(Rect { x0: 11, y0: 21, x1: 13, y1: 23 }));
+        assert_eq!(foreground_box(&[0; 12], rect), None);
+    }
+}

@@ -1,0 +1,128 @@
+//! Zips of PNG or JPEG images, as a stream of pictures.
+
+use std::io::Cursor;
+use std::path::Path;
+use std::time::Instant;
+
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageReader};
+
+use super::archive::Archive;
+use super::limits::{self, IMAGE_BYTES};
+use super::source::{Picture, Pixels};
+use super::{BadInput, CaptureError, Part};
+
+pub(super) struct ImageStream {
+    part: Part,
+    archive: Archive,
+    pixels: Pixels,
+    next: usize,
+    deadline: Instant,
+}
+
+impl ImageStream {
+    pub fn open(part: Part, path: &Path, pixels: Pixels, deadline: Instant) -> Result<Self, CaptureError> {
+        let archive = Archive::open(part, path, &[".png", ".jpg", ".jpeg"])?;
+        if archive.len() > limits::FRAMES {
+            return Err(limits::too_many_frames(part).into());
+        }
+        Ok(Self { part, archive, pixels, next: 0, deadline })
+    }
+
+    pub fn ignored(&self) -> usize {
+        self.archive.ignored
+    }
+
+    /// The next picture; decoded only where it is wanted, else its header alone is read.
+    pub fn next(&mut self, want: bool) -> Result<Option<Picture>, CaptureError> {
+        let index = self.next;
+        if index == self.archive.len() {
+            return Ok(None);
+        }
+        if Instant::now() > self.deadline {
+            let message = format!("decoding took too long; it stopped after {index} images");
+            return Err(BadInput::new(self.part, message, "fewer or smaller images").into());
+        }
+        self.next += 1;
+        let bytes = self.archive.read(index, IMAGE_BYTES)?;
+        let picture = self.decode(&bytes, want).map_err(|reason| match reason {
+            Reason::Bad(bad) => bad.at(index),
+            Reason::Image(e) => {
+                let message = format!("`{}` cannot be read: {e}", self.archive.name(index));
+                BadInput::new(self.part, message, "a whole PNG or JPEG image").at(index)
+            }
+        })?;
+        Ok(Some(picture))
+    }
+
+    fn decode(&self, bytes: &[u8], want: bool) -> Result<Picture, Reason> {
+        let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(image::ImageError::IoError)?;
+        let mut decoder = reader.into_decoder()?;
+        let (width, height) = decoder.dimensions();
+        limits::check_image_size(self.part, width, height)?;
+        let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        if !want {
+            let (width, height) = if is_quarter_turn(orientation) { (height, width) } else { (width, height) };
+            return Ok(Picture { width, height, data: Vec::new() });
+        }
+        let mut image = DynamicImage::from_decoder(decoder)?;
+        image.apply_orientation(orientation);
+        let (width, height) = (image.width(), image.height());
+        let data = match self.pixels {
+            Pixels::Rgb => image.into_rgb8().into_raw(),
+            Pixels::Mask => matte(&image),
+        };
+        Ok(Picture { width, height, data })
+    }
+}
+
+/// Why a picture was refused.
+enum Reason {
+    Bad(BadInput),
+    Image(image::ImageError),
+}
+
+impl From<BadInput> for Reason {
+    fn from(bad: BadInput) -> Self {
+        Reason::Bad(bad)
+    }
+}
+
+impl From<image::ImageError> for Reason {
+    fn from(error: image::ImageError) -> Self {
+        Reason::Image(error)
+    }
+}
+
+fn is_quarter_turn(orientation: Orientation) -> bool {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
+}
+
+/// The mask in an image: its alpha where it has any transparency (a cut-out person), else its luma.
+fn matte(image: &DynamicImage) -> Vec<u8> {
+    if image.color().has_alpha() {
+        let alpha: Vec<u8> = image.to_luma_alpha8().pixels().map(|pixel| pixel.0[1]).collect();
+        if alpha.iter().any(|&a| a < 255) {
+            return alpha;
+        }
+    }
+    image.to_luma8().into_raw()
+}
+
+#[cfg(test)]
+mod tests {
+    use image::{Rgba, RgbaImage};
+
+    use super::*;
+
+    #[test]
+    fn alpha_is_the_mask_only_where_there_is_transparency() {
+        let cut_out =
+            RgbaImage::from_fn(2, 1, |x, _| if x == 0 { Rgba([0, 0, 0, 255]) } else { Rgba([255, 255, 255, 0]) });
+        assert_eq!(matte(&DynamicImage::from(cut_out)), [255, 0]);
+        let opaque =
+            RgbaImage::from_fn(2, 1, |x, _| if x == 0 { Rgba([255, 255, 255, 255]) } else { Rgba([0, 0, 0, 255]) });
+        assert_eq!(matte(&DynamicImage::from(opaque)), [255, 0]);
+    }
+}

@@ -1,0 +1,88 @@
+//! A stream of pictures, whether from a video or from a zip of images.
+
+use std::path::Path;
+use std::time::Instant;
+
+use super::archive;
+use super::images::ImageStream;
+use super::video::{VideoFile, VideoStream};
+use super::{CaptureError, Part, limits};
+
+/// What a picture holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Pixels {
+    /// `[height, width, 3]`
+    Rgb,
+    /// `[height, width]`: luma, or alpha where that is the mask.
+    Mask,
+}
+
+impl Pixels {
+    pub fn channels(self) -> usize {
+        match self {
+            Pixels::Rgb => 3,
+            Pixels::Mask => 1,
+        }
+    }
+}
+
+/// An image with its pixels, or with none where only its size was wanted.
+#[derive(Debug)]
+pub(super) struct Picture {
+    pub width: u32,
+    pub height: u32,
+    pub data: Vec<u8>,
+}
+
+pub(super) struct Source {
+    stream: Stream,
+    part: Part,
+    /// `None` for a zip of images.
+    pub fps: Option<f64>,
+    pub warnings: Vec<String>,
+    pub count: usize,
+}
+
+enum Stream {
+    Video(Box<VideoStream>),
+    Images(Box<ImageStream>),
+}
+
+impl Source {
+    /// Opens a video, or a zip of images, told apart by content.
+    pub fn open(part: Part, path: &Path, pixels: Pixels, fast: bool, deadline: Instant) -> Result<Self, CaptureError> {
+        if archive::is_zip(path)? {
+            let stream = ImageStream::open(part, path, pixels, deadline)?;
+            let mut warnings = Vec::new();
+            if stream.ignored() > 0 {
+                warnings.push(format!("{part}: {} files of the zip are no images and were ignored", stream.ignored()));
+            }
+            return Ok(Self { stream: Stream::Images(Box::new(stream)), part, fps: None, warnings, count: 0 });
+        }
+        let file = VideoFile::open(part, path)?;
+        let stream = Stream::Video(Box::new(file.decode(pixels, fast, deadline)?));
+        let warnings = file.warnings.iter().map(|w| format!("{part}: {w}")).collect();
+        Ok(Self { stream, part, fps: Some(file.fps), warnings, count: 0 })
+    }
+
+    /// The next picture; with its pixels only if they are wanted.
+    pub fn next(&mut self, want: bool) -> Result<Option<Picture>, CaptureError> {
+        let picture = match &mut self.stream {
+            Stream::Video(video) => video.next(want)?,
+            Stream::Images(images) => images.next(want)?,
+        };
+        self.count += usize::from(picture.is_some());
+        if self.count > limits::FRAMES {
+            return Err(limits::too_many_frames(self.part).into());
+        }
+        Ok(picture)
+    }
+
+    /// What the decoder complained of, once the stream has ended.
+    pub fn damage(&self) -> Option<&str> {
+        match &self.stream {
+            Stream::Video(video) => video.damage(),
+            Stream::Images(_) => None,
+        }
+    }
+}

@@ -1,0 +1,531 @@
+//! Whole clips, good and bad, made on the spot. They need the system's FFmpeg.
+
+use std::io::{Cursor, Write};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+use super::*;
+use crate::npz::NpzWriter;
+
+const WIDTH: u32 = 64;
+const HEIGHT: u32 = 96;
+const COUNT: usize = 12;
+
+/// A clip of a box that walks to the right and changes its colour, in a temporary folder.
+struct Clip {
+    folder: tempfile::TempDir,
+    inputs: CaptureInputs,
+}
+
+/// The person's box in a frame: x0, y0, x1, y1.
+fn person(i: usize) -> [u32; 4] {
+    [14 + i as u32, 16, 34 + i as u32, 80]
+}
+
+fn is_inside(i: usize, pixel: u32) -> bool {
+    let ([x0, y0, x1, y1], x, y) = (person(i), pixel % WIDTH, pixel / WIDTH);
+    (x0..x1).contains(&x) && (y0..y1).contains(&y)
+}
+
+fn colour(i: usize) -> [u8; 3] {
+    [200, 40 + 10 * i as u8, 60]
+}
+
+fn rgb(i: usize) -> Vec<u8> {
+    (0..WIDTH * HEIGHT).flat_map(|p| if is_inside(i, p) { colour(i) } else { [90, 110, 120] }).collect()
+}
+
+fn mask(i: usize) -> Vec<u8> {
+    (0..WIDTH * HEIGHT).map(|p| if is_inside(i, p) { 255 } else { 0 }).collect()
+}
+
+fn png(data: &[u8], width: u32, height: u32, colour: image::ExtendedColorType) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    image::write_buffer_with_format(&mut bytes, data, width, height, colour, image::ImageFormat::Png).unwrap();
+    bytes.into_inner()
+}
+
+fn mask_png(i: usize) -> Vec<u8> {
+    png(&mask(i), WIDTH, HEIGHT, image::ExtendedColorType::L8)
+}
+
+fn rgb_png(i: usize) -> Vec<u8> {
+    png(&rgb(i), WIDTH, HEIGHT, image::ExtendedColorType::Rgb8)
+}
+
+fn zip(files: impl IntoIterator<Item = (String, Vec<u8>)>) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, bytes) in files {
+        zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        zip.write_all(&bytes).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+fn mask_zip(count: usize) -> Vec<u8> {
+    zip((0..count).map(|i| (format!("masks/{i}.png"), mask_png(i))))
+}
+
+/// Video of the frames as FFmpeg writes it with these arguments.
+fn encode(frames: impl Iterator<Item = Vec<u8>>, format: &str, arguments: &[&str]) -> Vec<u8> {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let size = format!("{WIDTH}x{HEIGHT}");
+    let mut ffmpeg = Command::new("ffmpeg")
+        .args(["-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", format, "-s", &size, "-r", "25", "-i", "pipe:0"])
+        .args(arguments)
+        .arg(file.path())
+        .stdin(Stdio::piped())
+        .spawn()
+        .expect("the tests need FFmpeg");
+    let mut stdin = ffmpeg.stdin.take().unwrap();
+    frames.for_each(|frame| stdin.write_all(&frame).unwrap());
+    drop(stdin);
+    assert!(ffmpeg.wait().unwrap().success(), "{arguments:?}");
+    std::fs::read(file.path()).unwrap()
+}
+
+const MP4: [&str; 6] = ["-c:v", "mpeg4", "-q:v", "2", "-f", "mp4"];
+const MKV: [&str; 6] = ["-c:v", "mpeg4", "-q:v", "2", "-f", "matroska"];
+
+fn video(arguments: &[&str]) -> Vec<u8> {
+    encode((0..COUNT).map(rgb), "rgb24", arguments)
+}
+
+/// COCO-17 points of a frame: all over the person.
+fn points(i: usize) -> Vec<[f64; 3]> {
+    let [x0, y0, ..] = person(i).map(f64::from);
+    (0..17).map(|k| [x0 + 10.0, y0 + 3.0 * f64::from(k) + 4.0, 0.9]).collect()
+}
+
+fn keypoint_json(frames: &[Vec<[f64; 3]>]) -> String {
+    serde_json::json!({"format": "COCO-17", "frames": frames}).to_string()
+}
+
+impl Clip {
+    fn new() -> Self {
+        static VIDEO: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        let inputs = CaptureInputs {
+            video: file("video"),
+            masks: file("masks"),
+            keypoints: file("keypoints"),
+            camera: None,
+            poses: None,
+        };
+        let clip = Self { folder, inputs };
+        clip.video(VIDEO.get_or_init(|| video(&MP4)));
+        clip.masks(&mask_zip(COUNT));
+        clip.keypoints(&keypoint_json(&(0..COUNT).map(points).collect::<Vec<_>>()));
+        clip
+    }
+
+    fn video(&self, bytes: &[u8]) {
+        std::fs::write(&self.inputs.video, bytes).unwrap();
+    }
+
+    fn masks(&self, bytes: &[u8]) {
+        std::fs::write(&self.inputs.masks, bytes).unwrap();
+    }
+
+    fn keypoints(&self, bytes: impl AsRef<[u8]>) {
+        std::fs::write(&self.inputs.keypoints, bytes).unwrap();
+    }
+
+    fn add(&self, name: &str, bytes: impl AsRef<[u8]>) -> Option<PathBuf> {
+        let path = self.folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        Some(path)
+    }
+
+    fn load(&self) -> Result<Capture, CaptureError> {
+        Capture::load(&self.inputs, &CaptureOptions { max_frames: 100, max_side_px: 1000 })
+    }
+
+    /// The error of both ways in, which must agree.
+    #[track_caller]
+    fn error(&self) -> BadInput {
+        let inspected = inspect(&self.inputs).expect_err("inspect took it");
+        let loaded = self.load().map(|_| ()).expect_err("load took it");
+        let CaptureError::Bad(loaded) = loaded else { panic!("{loaded}") };
+        assert_eq!(inspected.bad_input().map(|bad| bad.part), Some(loaded.part), "{inspected} and {loaded}");
+        loaded
+    }
+}
+
+/// All frames in order: the box where it should be, in its colour, under its mask, with its keypoints.
+#[track_caller]
+fn assert_is_the_clip(capture: &Capture, tolerance: i32) {
+    assert_eq!((capture.camera.width, capture.camera.height), (WIDTH, HEIGHT));
+    assert_eq!(capture.frames.len(), COUNT, "{:?}", capture.warnings);
+    for (i, frame) in capture.frames.iter().enumerate() {
+        let [x0, y0, x1, y1] = person(i);
+        assert_eq!(frame.index as usize, i);
+        assert!(frame.x0 <= x0 && frame.y0 <= y0 && frame.x0 + frame.width >= x1 && frame.y0 + frame.height >= y1);
+        assert_eq!(frame.rgb.len(), (frame.width * frame.height * 3) as usize);
+        let at = |x: u32, y: u32| ((y - frame.y0) * frame.width + x - frame.x0) as usize;
+        let middle = at((x0 + x1) / 2, (y0 + y1) / 2);
+        let pixel = &frame.rgb[3 * middle..3 * middle + 3];
+        let off = pixel.iter().zip(colour(i)).map(|(a, b)| (i32::from(*a) - i32::from(b)).abs()).max();
+        assert!(off <= Some(tolerance), "frame {i}: {pixel:?}, not {:?}", colour(i));
+        let inside = frame.mask.iter().filter(|&&v| v == 255).count();
+        assert_eq!((inside, frame.mask[at(x0, y0)], frame.mask[at(x1, y1)]), (20 * 64, 255, 0), "frame {i}");
+        let want = points(i)[16];
+        assert_eq!(frame.keypoints[16], [want[0] as f32, want[1] as f32, 0.9]);
+    }
+}
+
+#[test]
+fn a_good_clip() {
+    let clip = Clip::new();
+    let inspection = inspect(&clip.inputs).unwrap();
+    assert_eq!((inspection.frames, inspection.width, inspection.height), (12, WIDTH, HEIGHT));
+    assert_eq!((inspection.fps, inspection.keypoint_format.as_str()), (25.0, "coco17"));
+    assert!(inspection.warnings.is_empty(), "{:?}", inspection.warnings);
+    let capture = clip.load().unwrap();
+    assert_is_the_clip(&capture, 12);
+    assert!(capture.camera_estimated && capture.poses.is_none() && capture.warnings.is_empty());
+}
+
+#[test]
+fn every_codec_that_this_ffmpeg_writes() {
+    let encoders = Command::new("ffmpeg").args(["-v", "error", "-encoders"]).output().unwrap().stdout;
+    let encoders = String::from_utf8(encoders).unwrap();
+    #[rustfmt::skip]
+    let cases: [&[&str]; 5] = [
+        &["-c:v", "libx264", "-preset", "ultrafast", "-crf", "8", "-pix_fmt", "yuv420p", "-f", "mp4"],
+        &["-c:v", "libx265", "-preset", "ultrafast", "-crf", "8", "-x265-params", "log-level=none", "-f", "mp4"],
+        &["-c:v", "libvpx-vp9", "-deadline", "realtime", "-cpu-used", "8", "-crf", "8", "-b:v", "0", "-f", "webm"],
+        &["-c:v", "libaom-av1", "-usage", "realtime", "-cpu-used", "8", "-crf", "8", "-f", "webm"],
+        &["-c:v", "ffv1", "-f", "matroska"],
+    ];
+    for arguments in cases {
+        if !encoders.contains(arguments[1]) {
+            eprintln!("{}: ignored, this FFmpeg cannot write it", arguments[1]);
+            continue;
+        }
+        let clip = Clip::new();
+        clip.video(&video(arguments));
+        eprintln!("{}", arguments[1]);
+        assert_is_the_clip(&clip.load().unwrap(), 16);
+    }
+}
+
+#[test]
+fn zips_of_images_in_the_order_of_their_numbers() {
+    let mut clip = Clip::new();
+    let images = (0..COUNT).map(|i| (format!("a/frame{i}.png"), rgb_png(i)));
+    let junk = ["__MACOSX/a/._frame0.png", "a/.DS_Store", "a/notes.txt"].map(|name| (name.to_owned(), b"x".to_vec()));
+    clip.video(&zip(images.chain(junk)));
+    let capture = clip.load().unwrap();
+    assert_is_the_clip(&capture, 0);
+    assert_eq!(capture.fps, 30.0);
+    let warnings = inspect(&clip.inputs).unwrap().warnings;
+    assert_eq!(warnings[0], "video: 1 files of the zip are no images and were ignored");
+
+    clip.inputs.masks = clip.inputs.video.clone();
+    clip.video(&zip([("a/notes.txt".to_owned(), b"x".to_vec())]));
+    let error = clip.error();
+    assert_eq!((error.part, error.frame), (Part::Video, None));
+    assert_eq!(error.message, "no file in the zip can be used; it has `a/notes.txt`");
+}
+
+#[test]
+fn masks_as_a_video_and_as_cut_outs() {
+    let clip = Clip::new();
+    clip.masks(&encode((0..COUNT).map(mask), "gray", &["-c:v", "ffv1", "-f", "matroska"]));
+    assert_is_the_clip(&clip.load().unwrap(), 12);
+    let cut_out = |i| -> Vec<u8> { rgb(i).chunks(3).zip(mask(i)).flat_map(|(c, a)| [c[0], c[1], c[2], a]).collect() };
+    let cut_out = |i| png(&cut_out(i), WIDTH, HEIGHT, image::ExtendedColorType::Rgba8);
+    clip.masks(&zip((0..COUNT).map(|i| (format!("{i:04}.png"), cut_out(i)))));
+    assert_is_the_clip(&clip.load().unwrap(), 12);
+}
+
+#[test]
+fn frames_at_uneven_times_count_once_each() {
+    let clip = Clip::new();
+    let uneven = "setpts='if(lt(N,4),N,if(lt(N,8),3*N,40+2*N))/25/TB'";
+    clip.video(&video(&[&["-vf", uneven], &MKV[..]].concat()));
+    assert_eq!(inspect(&clip.inputs).unwrap().frames, 12);
+    assert_is_the_clip(&clip.load().unwrap(), 12);
+}
+
+#[test]
+fn a_rotation_tag_turns_the_images() {
+    let clip = Clip::new();
+    let mut bytes = video(&MP4);
+    // The display matrix of a `tkhd` box of version 0 lies 44 bytes after the start of its name, in 16.16 numbers.
+    let matrix = bytes.windows(4).position(|w| w == b"tkhd").unwrap() + 44;
+    for (i, value) in [0u32, 0x1_0000, 0, 0xffff_0000, 0].iter().enumerate() {
+        bytes[matrix + 4 * i..matrix + 4 * i + 4].copy_from_slice(&value.to_be_bytes());
+    }
+    clip.video(&bytes);
+    let error = clip.error();
+    assert_eq!((error.part, error.frame), (Part::Masks, Some(0)));
+    assert_eq!(error.message, "the mask is 64×96, turned against the video");
+    assert_eq!(error.expected, "96×64, as the video");
+
+    // Turned clockwise by 90°: (x, y) goes to (95 − y, x).
+    let turned = |i| -> Vec<u8> {
+        let mask = mask(i);
+        (0..WIDTH)
+            .flat_map(|y| (0..HEIGHT).map(move |x| (x, y)))
+            .map(|(x, y)| mask[((95 - x) * WIDTH + y) as usize])
+            .collect()
+    };
+    let masks = (0..COUNT).map(|i| png(&turned(i), HEIGHT, WIDTH, image::ExtendedColorType::L8));
+    clip.masks(&zip(masks.enumerate().map(|(i, png)| (format!("{i}.png"), png))));
+    let turn = |point: [f64; 3]| [96.0 - point[1], point[0], point[2]];
+    let frames: Vec<Vec<_>> = (0..COUNT).map(|i| points(i).into_iter().map(turn).collect()).collect();
+    clip.keypoints(keypoint_json(&frames));
+    let capture = clip.load().unwrap();
+    assert_eq!((capture.camera.width, capture.camera.height), (HEIGHT, WIDTH));
+    for (i, frame) in capture.frames.iter().enumerate() {
+        let set = frame.mask.iter().zip(frame.rgb.chunks(3)).filter(|(m, _)| **m == 255);
+        let red: Vec<u32> = set.map(|(_, c)| u32::from(c[0])).collect();
+        let mean = red.iter().sum::<u32>() / red.len() as u32;
+        assert!((185..=215).contains(&mean), "frame {i}: the mask lies on red {mean}");
+    }
+}
+
+#[test]
+fn frames_are_thinned_and_scaled_with_their_keypoints_and_poses() {
+    let mut clip = Clip::new();
+    let poses: Vec<f32> = (0..COUNT).flat_map(|i| [i as f32; 72]).collect();
+    let mut npz = NpzWriter::new(Cursor::new(Vec::new()));
+    npz.add("poses", &[COUNT, 72], &poses).unwrap();
+    npz.add("trans", &[COUNT, 3], &poses[..COUNT * 3]).unwrap();
+    clip.inputs.poses = clip.add("poses", npz.finish().unwrap().into_inner());
+    let camera = r#"{"width": 64, "height": 96, "fx": 80, "fy": 81, "cx": 32, "cy": 48}"#;
+    clip.inputs.camera = clip.add("camera", camera);
+    let capture = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }).unwrap();
+    assert_eq!(capture.frames.iter().map(|f| f.index).collect::<Vec<_>>(), [0, 3, 6, 9]);
+    let camera = &capture.camera;
+    assert_eq!((camera.width, camera.height, camera.fx, camera.fy, camera.cx), (32, 48, 40.0, 40.5, 16.0));
+    assert!(!capture.camera_estimated);
+    let frame = &capture.frames[2];
+    let want = points(6)[5];
+    assert_eq!(frame.keypoints[5], [(want[0] / 2.0) as f32, (want[1] / 2.0) as f32, 0.9]);
+    let inside = frame.mask.iter().filter(|&&v| v == 255).count();
+    assert!((300..=340).contains(&inside), "{inside} of 10×32 pixels");
+    assert_eq!(capture.poses.unwrap().poses.iter().map(|p| p[0]).collect::<Vec<_>>(), [0.0, 3.0, 6.0, 9.0]);
+    let inspection = inspect(&clip.inputs).unwrap();
+    assert!(inspection.has_camera && inspection.has_poses);
+}
+
+#[test]
+fn openpose_files_of_several_people() {
+    let clip = Clip::new();
+    let numbers = |i: usize, dx: f64| -> Vec<f64> {
+        (0..25).flat_map(|k| points(i)[k % 17]).enumerate().map(|(n, v)| if n % 3 == 0 { v + dx } else { v }).collect()
+    };
+    let person = |i, dx| serde_json::json!({"person_id": [-1], "pose_keypoints_2d": numbers(i, dx)});
+    let file = |i: usize| match i {
+        0 => serde_json::json!({"version": 1.3, "people": []}),
+        // The bystander comes first.
+        _ => serde_json::json!({"version": 1.3, "people": [person(i, 28.0), person(i, 0.0)]}),
+    };
+    clip.keypoints(zip((0..COUNT).map(|i| (format!("clip_{i:012}_keypoints.json"), file(i).to_string().into()))));
+    let capture = clip.load().unwrap();
+    assert_eq!(capture.keypoint_format, "body25");
+    assert_eq!(capture.frames[0].keypoints, vec![[0.0; 3]; 25]);
+    assert_eq!(capture.frames[5].keypoints[2][0], points(5)[2][0] as f32);
+    assert_eq!(capture.warnings, ["keypoints: nobody is seen in 1 frames, the first of them 0"]);
+
+    clip.keypoints(zip((0..COUNT - 1).map(|i| (format!("{i}.json"), file(i).to_string().into()))));
+    let error = clip.error();
+    assert_eq!(
+        error.to_string(),
+        "keypoints: there are 11 frames of keypoints, the video has 12 (expected 12, one for each frame of the video)"
+    );
+}
+
+mod bad_input {
+    use super::*;
+
+    #[track_caller]
+    fn assert_error(clip: &Clip, part: Part, frame: Option<u32>, message: &str) {
+        let error = clip.error();
+        assert_eq!((error.part, error.frame), (part, frame), "{error}");
+        assert!(error.message.starts_with(message), "{error}");
+        let text = error.to_string();
+        assert!(!text.contains("/tmp") && !text.contains("0x"), "{text}");
+    }
+
+    #[test]
+    fn a_video_that_is_no_video() {
+        let clip = Clip::new();
+        for bytes in [&b""[..], b"hello, this is text", &[0; 5000]] {
+            clip.video(bytes);
+            assert_error(&clip, Part::Video, None, "this is no readable video");
+        }
+        clip.video(b"PK\x03\x04 and then nonsense");
+        assert_error(&clip, Part::Video, None, "the zip cannot be read");
+    }
+
+    #[test]
+    fn files_that_name_other_files_are_not_followed() {
+        let clip = Clip::new();
+        let other = clip.add("other.mp4", video(&MP4)).unwrap();
+        let other = other.display();
+        for text in [
+            format!("#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:1,\nfile://{other}\n#EXT-X-ENDLIST\n"),
+            format!("ffconcat version 1.0\nfile '{other}'\n"),
+            format!(r#"<svg xmlns="http://www.w3.org/2000/svg"><image href="file://{other}"/></svg>"#),
+        ] {
+            clip.video(text.as_bytes());
+            assert_error(&clip, Part::Video, None, "this is no readable video");
+        }
+    }
+
+    #[test]
+    fn sound_alone() {
+        let clip = Clip::new();
+        let sound = ["-f", "lavfi", "-i", "sine=duration=0.2", "-map", "1:a", "-c:a", "aac", "-f", "mp4"];
+        clip.video(&video(&sound));
+        assert_error(&clip, Part::Video, None, "the file holds no video stream");
+    }
+
+    #[test]
+    fn a_truncated_file() {
+        let clip = Clip::new();
+        let whole = video(&MP4);
+        clip.video(&whole[..whole.len() / 2]);
+        assert_error(&clip, Part::Video, None, "this is no readable video: moov atom not found");
+        let early_index = video(&[&MP4[..], &["-movflags", "faststart"]].concat());
+        clip.video(&early_index[..early_index.len() * 2 / 3]);
+        let error = clip.error();
+        assert!(error.message.starts_with("the file is damaged or cut off: "), "{error}");
+        assert!(error.message.contains(" of 12 frames could be read"), "{error}");
+        // Other containers do not tell how many frames they should have.
+        let stream = video(&MKV);
+        clip.video(&stream[..stream.len() * 2 / 3]);
+        assert_error(&clip, Part::Video, None, "the file is damaged");
+    }
+
+    #[test]
+    fn no_frames_at_all() {
+        let clip = Clip::new();
+        clip.video(&encode(std::iter::empty(), "rgb24", &MKV));
+        assert_eq!(clip.error().part, Part::Video);
+    }
+
+    #[test]
+    fn masks_of_another_count_or_size() {
+        let clip = Clip::new();
+        clip.masks(&mask_zip(COUNT - 2));
+        assert_error(&clip, Part::Masks, None, "there are 10 frames of masks, the video has 12");
+        clip.masks(&mask_zip(COUNT + 1));
+        assert_error(&clip, Part::Masks, None, "there are 13 frames of masks, the video has 12");
+        let half = |i: usize| -> Vec<u8> { mask(i)[..(WIDTH * HEIGHT / 2) as usize].to_vec() };
+        let half = |i| png(&half(i), WIDTH, HEIGHT / 2, image::ExtendedColorType::L8);
+        clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), if i == 7 { half(i) } else { mask_png(i) }))));
+        assert_error(&clip, Part::Masks, Some(7), "the mask is 64×48");
+    }
+
+    #[test]
+    fn empty_masks() {
+        let clip = Clip::new();
+        let black = png(&vec![0; (WIDTH * HEIGHT) as usize], WIDTH, HEIGHT, image::ExtendedColorType::L8);
+        let files = |empty: fn(usize) -> bool| {
+            zip((0..COUNT).map(|i| (format!("{i}.png"), if empty(i) { black.clone() } else { mask_png(i) })))
+        };
+        clip.masks(&files(|_| true));
+        assert_error(&clip, Part::Masks, None, "all 12 masks are empty; their brightest pixel is 0");
+        clip.masks(&files(|i| i == 4 || i == 9));
+        assert_error(&clip, Part::Masks, Some(4), "the mask is empty, 0 pixels are foreground; 2 masks are");
+        // Foreground written as 1 is a common mistake.
+        let ones = |i| -> Vec<u8> { mask(i).into_iter().map(|v| v.min(1)).collect() };
+        let ones = |i| png(&ones(i), WIDTH, HEIGHT, image::ExtendedColorType::L8);
+        clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), ones(i)))));
+        assert_error(&clip, Part::Masks, None, "all 12 masks are empty; their brightest pixel is 1");
+    }
+
+    #[test]
+    fn keypoints_with_wrong_counts_strings_or_nan() {
+        let clip = Clip::new();
+        let good: Vec<_> = (0..COUNT).map(points).collect();
+        clip.keypoints(keypoint_json(&good[1..]));
+        assert_error(&clip, Part::Keypoints, None, "there are 11 frames of keypoints, the video has 12");
+        let mut short = good.clone();
+        short[3].pop();
+        clip.keypoints(keypoint_json(&short));
+        assert_error(&clip, Part::Keypoints, Some(3), "there are 16 points");
+        let text = keypoint_json(&good);
+        for odd in ["NaN", "\"30\"", "null"] {
+            // The x of every point of frame 6, and of no other frame.
+            clip.keypoints(text.replace("[30.0,", &format!("[{odd},")));
+            assert_error(&clip, Part::Keypoints, Some(6), "point 0 cannot be used");
+        }
+    }
+
+    #[test]
+    fn keypoints_of_something_else() {
+        let clip = Clip::new();
+        let moved = |f: fn([f64; 3]) -> [f64; 3]| {
+            keypoint_json(&(0..COUNT).map(|i| points(i).into_iter().map(f).collect()).collect::<Vec<_>>())
+        };
+        clip.keypoints(moved(|[x, y, c]| [x / 64.0, y / 96.0, c]));
+        assert_error(&clip, Part::Keypoints, None, "no coordinate is above ");
+        clip.keypoints(moved(|[x, y, c]| [x * 20.0, y * 20.0, c]));
+        assert_error(&clip, Part::Keypoints, None, "204 of 204 points lie far outside the images");
+        clip.keypoints(moved(|[_, y, c]| [2.0, y, c]));
+        assert_error(&clip, Part::Keypoints, None, "204 of 204 points lie off the masks");
+        clip.keypoints(moved(|[x, y, _]| [x, y, 0.0]));
+        assert_error(&clip, Part::Keypoints, None, "no point of any frame has a confidence above 0");
+    }
+
+    #[test]
+    fn zips_that_climb_or_explode() {
+        let clip = Clip::new();
+        clip.masks(&zip([("../0.png".to_owned(), mask_png(0))]));
+        assert_error(&clip, Part::Masks, None, "the zip has an entry named `../0.png`");
+        clip.masks(&zip([("0.png".to_owned(), vec![0; 3 << 20])]));
+        assert_error(&clip, Part::Masks, None, "`0.png` expands from ");
+        clip.masks(&zip((0..=3600).map(|i| (format!("{i}.png"), Vec::new()))));
+        assert_error(&clip, Part::Masks, None, "there are more than 3600 frames");
+        clip.masks(&zip([("0.png".to_owned(), b"no image".to_vec())]));
+        assert_error(&clip, Part::Masks, Some(0), "`0.png` cannot be read");
+    }
+
+    #[test]
+    fn an_image_of_absurd_size_is_refused_by_its_header() {
+        let clip = Clip::new();
+        let mut header = b"IHDR".to_vec();
+        header.extend([100_000u32, 100_000].iter().flat_map(|n| n.to_be_bytes()));
+        header.extend([8, 0, 0, 0, 0]);
+        let mut crc = flate2::Crc::new();
+        crc.update(&header);
+        let mut bytes = b"\x89PNG\r\n\x1a\n\0\0\0\r".to_vec();
+        bytes.extend(&header);
+        bytes.extend(crc.sum().to_be_bytes());
+        bytes.extend(b"\0\0\0\0IDAT\x35\xaf\x06\x1e");
+        clip.masks(&zip([("0.png".to_owned(), bytes)]));
+        assert_error(&clip, Part::Masks, Some(0), "the images are 100000×100000");
+    }
+
+    #[test]
+    fn cameras_and_poses_of_another_clip() {
+        let mut clip = Clip::new();
+        clip.inputs.camera = clip.add("camera", r#"{"width": 64, "height": 96, "fx": 0, "fy": 0, "cx": 32, "cy": 48}"#);
+        assert_error(&clip, Part::Camera, None, "the focal length `fx` is 0");
+        let double = r#"{"width": 128, "height": 192, "fx": 160, "fy": 160, "cx": 64, "cy": 96}"#;
+        clip.inputs.camera = clip.add("camera", double);
+        assert_error(&clip, Part::Camera, None, "the camera is of 128×192 images; divide");
+        clip.inputs.camera = None;
+        let mut npz = NpzWriter::new(Cursor::new(Vec::new()));
+        npz.add("poses", &[5, 72], &[0.0f32; 360]).unwrap();
+        npz.add("trans", &[5, 3], &[0.0f32; 15]).unwrap();
+        clip.inputs.poses = clip.add("poses", npz.finish().unwrap().into_inner());
+        assert_error(&clip, Part::Poses, None, "there are 5 frames of poses, the video has 12");
+        clip.inputs.poses = clip.add("poses", "no archive");
+        assert_error(&clip, Part::Poses, None, "not an npz archive");
+    }
+
+    #[test]
+    fn a_missing_file_is_our_fault() {
+        let clip = Clip::new();
+        std::fs::remove_file(&clip.inputs.video).unwrap();
+        assert!(inspect(&clip.inputs).unwrap_err().bad_input().is_none());
+    }
+}

@@ -1,0 +1,269 @@
+//! Video files, read by FFmpeg in a child process as a stream of pictures.
+
+use std::io::{BufRead, Read};
+use std::path::Path;
+use std::sync::OnceLock;
+use std::time::Instant;
+
+use super::child::{Outcome, Tool};
+use super::limits::{self, PROBE_TIME};
+use super::source::{Picture, Pixels};
+use super::{BadInput, CaptureError, Part};
+
+/// Containers that FFmpeg may open. Playlists, concatenations and other formats that name further files are not here.
+const FORMATS: &str = "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,flv,ogg,asf,ivf,h264,hevc,obu,av1,m4v,mjpeg,\
+                       mxf,gif,yuv4mpegpipe,nut,dv,rm";
+/// Only the file itself is read.
+const PROTOCOLS: &str = "file";
+
+/// A video file whose header FFmpeg understands.
+#[derive(Debug)]
+pub(super) struct VideoFile {
+    part: Part,
+    url: String,
+    pub fps: f64,
+    /// Number of frames that the container announces, or that follows from its duration.
+    announced: Option<u32>,
+    pub warnings: Vec<String>,
+}
+
+#[derive(serde::Deserialize)]
+struct Probe {
+    #[serde(default)]
+    streams: Vec<ProbeStream>,
+    #[serde(default)]
+    format: ProbeFormat,
+}
+
+#[derive(Default, serde::Deserialize)]
+#[serde(default)]
+struct ProbeFormat {
+    duration: Option<String>,
+}
+
+#[derive(Default, serde::Deserialize)]
+#[serde(default)]
+struct ProbeStream {
+    width: u32,
+    height: u32,
+    avg_frame_rate: String,
+    r_frame_rate: String,
+    nb_frames: Option<String>,
+    duration: Option<String>,
+    sample_aspect_ratio: String,
+    color_transfer: String,
+}
+
+impl VideoFile {
+    /// Reads the header, not the frames.
+    pub fn open(part: Part, path: &Path) -> Result<Self, CaptureError> {
+        let url = format!("file:{}", std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).display());
+        let arguments = [
+            "-hide_banner",
+            "-v",
+            "error",
+            "-protocol_whitelist",
+            PROTOCOLS,
+            "-format_whitelist",
+            FORMATS,
+            "-select_streams",
+            "V",
+            "-show_streams",
+            "-show_format",
+            "-of",
+            "json",
+            &url,
+        ];
+        let mut tool = Tool::start("ffprobe", &arguments, Instant::now() + PROBE_TIME)?;
+        let json = tool.read_to_end(4 << 20);
+        let outcome = tool.finish()?;
+        let expected = "a video that FFmpeg reads, or a zip of PNG or JPEG images";
+        if !outcome.success {
+            return Err(BadInput::new(part, format!("this is no readable video{}", outcome.because()), expected).into());
+        }
+        let probe: Probe = serde_json::from_slice(&json)
+            .map_err(|e| CaptureError::internal("the answer of `ffprobe`", std::io::Error::other(e)))?;
+        let Some(stream) = probe.streams.first() else {
+            return Err(BadInput::new(part, "the file holds no video stream", expected).into());
+        };
+        limits::check_image_size(part, stream.width, stream.height)?;
+        let rate = frame_rate(&stream.avg_frame_rate).or(frame_rate(&stream.r_frame_rate));
+        let duration = stream.duration.as_ref().or(probe.format.duration.as_ref()).and_then(|d| d.parse::<f64>().ok());
+        let counted = stream.nb_frames.as_ref().and_then(|n| n.parse().ok()).filter(|&n| n > 0);
+        let announced = counted.or_else(|| Some((duration? * rate?).round() as u32));
+        if announced.is_some_and(|n| n as usize > limits::FRAMES + limits::FRAMES / 10) {
+            return Err(limits::too_many_frames(part).into());
+        }
+        Ok(Self { part, url, fps: rate.unwrap_or(30.0), announced, warnings: oddities(stream, rate) })
+    }
+
+    /// Starts decoding. Every stored frame comes once, turned as its rotation tag says. With `fast`, filters that
+    /// only smooth the picture are left out.
+    pub fn decode(&self, pixels: Pixels, fast: bool, deadline: Instant) -> Result<VideoStream, CaptureError> {
+        let (codec, format) = match pixels {
+            Pixels::Rgb => ("ppm", "rgb24"),
+            Pixels::Mask => ("pgm", "gray"),
+        };
+        let max_pixels = limits::PIXELS.to_string();
+        let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4)).to_string();
+        let skip = if fast { "all" } else { "default" };
+        let passthrough = passthrough_option()?;
+        // Portable pixmaps tell the size of each picture in the stream itself, after rotation.
+        #[rustfmt::skip]
+        let arguments = [
+            "-hide_banner", "-nostdin", "-v", "error",
+            "-protocol_whitelist", PROTOCOLS, "-format_whitelist", FORMATS,
+            "-max_pixels", &max_pixels, "-threads", &threads, "-skip_loop_filter", skip, "-i", &self.url,
+            "-map", "0:V:0", "-an", "-sn", "-dn", passthrough, "passthrough",
+            "-sws_flags", "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp",
+            "-c:v", codec, "-pix_fmt", format, "-f", "image2pipe", "pipe:1",
+        ];
+        let tool = Tool::start("ffmpeg", &arguments, deadline)?;
+        Ok(VideoStream { part: self.part, tool: Some(tool), announced: self.announced, pixels, count: 0, damage: None })
+    }
+}
+
+/// Pictures out of a running FFmpeg.
+pub(super) struct VideoStream {
+    part: Part,
+    tool: Option<Tool>,
+    announced: Option<u32>,
+    pixels: Pixels,
+    count: usize,
+    damage: Option<String>,
+}
+
+impl VideoStream {
+    /// The next picture; its pixels only where they are wanted.
+    pub fn next(&mut self, want: bool) -> Result<Option<Picture>, CaptureError> {
+        let Some(tool) = &mut self.tool else { return Ok(None) };
+        let Some((width, height)) = read_header(&mut tool.stdout) else { return self.end() };
+        limits::check_image_size(self.part, width, height)?;
+        let bytes = width as usize * height as usize * self.pixels.channels();
+        let mut data = Vec::new();
+        let mut body = tool.stdout.by_ref().take(bytes as u64);
+        let read = if want {
+            data.reserve_exact(bytes);
+            body.read_to_end(&mut data).unwrap_or(0)
+        } else {
+            std::io::copy(&mut body, &mut std::io::sink()).unwrap_or(0) as usize
+        };
+        if read < bytes {
+            return self.end();
+        }
+        self.count += 1;
+        Ok(Some(Picture { width, height, data }))
+    }
+
+    /// What FFmpeg complained of, once the stream has ended.
+    pub fn damage(&self) -> Option<&str> {
+        self.damage.as_deref()
+    }
+
+    fn end(&mut self) -> Result<Option<Picture>, CaptureError> {
+        let Some(tool) = self.tool.take() else { return Ok(None) };
+        let outcome = tool.finish()?;
+        match self.judge(&outcome) {
+            Some(bad) => Err(bad.into()),
+            None => {
+                self.damage = (!outcome.messages.is_empty()).then(|| outcome.messages.join("; "));
+                Ok(None)
+            }
+        }
+    }
+
+    fn judge(&self, outcome: &Outcome) -> Option<BadInput> {
+        let (count, because) = (self.count, outcome.because());
+        let announced = self.announced.map_or("its".to_owned(), |n| n.to_string());
+        if outcome.timed_out {
+            let message = format!("decoding took too long; it stopped after {count} frames");
+            return Some(BadInput::new(self.part, message, "a shorter or smaller clip"));
+        }
+        if count == 0 {
+            return Some(BadInput::new(self.part, format!("0 frames could be read{because}"), "at least one frame"));
+        }
+        // Fewer frames than announced are no fault by themselves: edit lists cut frames away.
+        let short = self.announced.is_some_and(|n| (count as u32) < n) && !outcome.messages.is_empty();
+        if !outcome.success || short {
+            let message =
+                format!("the file is damaged or cut off: {count} of {announced} frames could be read{because}");
+            return Some(BadInput::new(self.part, message, "a whole video file"));
+        }
+        None
+    }
+}
+
+/// `P6\nwidth height\n255\n`; `None` at the end of the stream.
+fn read_header(reader: &mut impl BufRead) -> Option<(u32, u32)> {
+    let mut line = || {
+        let mut line = Vec::new();
+        reader.by_ref().take(32).read_until(b'\n', &mut line).ok()?;
+        String::from_utf8(line).ok()
+    };
+    let (_magic, size, _maximum) = (line()?, line()?, line()?);
+    let (width, height) = size.trim().split_once(' ')?;
+    Some((width.parse().ok()?, height.parse().ok()?))
+}
+
+fn frame_rate(text: &str) -> Option<f64> {
+    let (numerator, denominator) = text.split_once('/')?;
+    let rate = numerator.parse::<f64>().ok()? / denominator.parse::<f64>().ok()?;
+    (rate.is_finite() && rate > 0.0).then_some(rate)
+}
+
+fn oddities(stream: &ProbeStream, rate: Option<f64>) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if rate.is_none() {
+        warnings.push("the file tells no frame rate: 30 a second assumed".to_owned());
+    }
+    if !matches!(stream.sample_aspect_ratio.as_str(), "" | "1:1" | "0:1" | "N/A") {
+        let ratio = &stream.sample_aspect_ratio;
+        warnings.push(format!("the pixels are not square ({ratio}): the stored pixels are used as they are"));
+    }
+    if matches!(stream.color_transfer.as_str(), "smpte2084" | "arib-std-b67") {
+        warnings.push("the video is HDR: its colours are used as stored and will look flat".to_owned());
+    }
+    warnings
+}
+
+/// How this FFmpeg is told to keep every frame: `-fps_mode` from 5.1 on, `-vsync` before.
+fn passthrough_option() -> Result<&'static str, CaptureError> {
+    static OPTION: OnceLock<&'static str> = OnceLock::new();
+    if let Some(option) = OPTION.get() {
+        return Ok(option);
+    }
+    let mut tool = Tool::start("ffmpeg", &["-version"], Instant::now() + PROBE_TIME)?;
+    let text = String::from_utf8_lossy(&tool.read_to_end(1 << 16)).into_owned();
+    tool.finish()?;
+    Ok(OPTION.get_or_init(|| if is_before_5_1(&text) { "-vsync" } else { "-fps_mode" }))
+}
+
+/// Builds without a version number (`N-109000-g…`) are taken as recent.
+fn is_before_5_1(version_text: &str) -> bool {
+    let Some(version) = version_text.strip_prefix("ffmpeg version ") else { return false };
+    let mut numbers = version.split(|c: char| !c.is_ascii_digit()).map(str::parse::<u32>);
+    match (numbers.next(), numbers.next()) {
+        (Some(Ok(major)), Some(Ok(minor))) => (major, minor) < (5, 1),
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_are_told_apart() {
+        assert!(is_before_5_1("ffmpeg version 4.4.2-0ubuntu0.22.04.1 Copyright"));
+        assert!(!is_before_5_1("ffmpeg version 5.1.9-0+deb12u1 Copyright"));
+        assert!(!is_before_5_1("ffmpeg version 7.1 Copyright"));
+        assert!(!is_before_5_1("ffmpeg version N-109000-g3f1e Copyright"));
+    }
+
+    #[test]
+    fn headers_of_pixmaps() {
+        assert_eq!(read_header(&mut &b"P6\n360 640\n255\nxyz"[..]), Some((360, 640)));
+        assert_eq!(read_header(&mut &b""[..]), None);
+        assert_eq!(read_header(&mut &b"P6\n36"[..]), None);
+    }
+}
