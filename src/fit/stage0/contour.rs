@@ -1,18 +1,187 @@
-//! The mask's edge as evidence.
+//! The mask's edge as evidence: points of the model's outline are drawn along the mask's distance field.
 
-use super::{Candidate, Stage0Error, Stage0Report};
-use crate::body::Body;
-use crate::capture::Capture;
+use std::collections::HashMap;
 
-pub const ROUNDS: usize = 0;
+use glam::{DMat3, DVec2, DVec3};
 
+use super::problem::{ContourPoint, Pinhole, Problem};
+use super::rig::{Point, Posed};
+use super::silhouette::{Field, Grid, fill};
+use super::state::State;
+use super::{Candidate, Stage0Error, Stage0Report, sides};
+use crate::body::{Body, N_JOINTS};
+use crate::capture::{Capture, Frame};
+
+/// Times that outlines are matched anew.
+pub const ROUNDS: usize = 3;
+/// Points of the outline in a frame.
+const POINTS: usize = 160;
+/// Information of one point: neighbours say nearly the same.
+const WEIGHT: f64 = 0.15;
+/// σ outside and inside the mask in multiples of the person's height: the naked body may lie inside the mask by
+/// the thickness of clothes, hardly outside.
+const OUTSIDE: f64 = 0.006;
+const INSIDE: f64 = 0.010;
+/// Outlines must run alike, and not farther from the mask's edge than this part of the person's height.
+const ALIKE: f64 = 0.6;
+const REACH: f64 = 0.06;
+/// Distance from the picture's border in pixels where masks end without being a person's edge.
+const BORDER_PX: f64 = 3.0;
+
+/// Fits the outline after the keypoints have settled.
 pub fn refine(
-    _best: &mut Candidate,
-    _body: &Body,
-    _capture: &Capture,
-    _iterations: usize,
-    _report: &mut Stage0Report,
-    _go_on: &mut dyn FnMut() -> bool,
+    best: &mut Candidate,
+    body: &Body,
+    capture: &Capture,
+    iterations: usize,
+    report: &mut Stage0Report,
+    go_on: &mut dyn FnMut() -> bool,
 ) -> Result<(), Stage0Error> {
+    let masks: Vec<Option<Field>> = capture.frames.iter().map(mask_field).collect();
+    let found = masks.iter().flatten().count();
+    if found == 0 {
+        report.notes.push("masks: no frame has an edge to fit".to_owned());
+        return Ok(());
+    }
+    let height = sides::height_px(&best.problem, &best.state);
+    best.scales.contour_weight = WEIGHT;
+    best.scales.contour_outside_px = OUTSIDE * height;
+    best.scales.contour_inside_px = INSIDE * height;
+    let size = DVec2::new(f64::from(capture.camera.width), f64::from(capture.camera.height));
+    let mut known = HashMap::new();
+    for _ in 0..ROUNDS {
+        let outline = Outline { body, shaped: shaped(body, &best.state), size, reach_px: REACH * height };
+        outline.attach(&mut best.problem, &best.state, &masks, &mut known);
+        best.descend(iterations, 1e-3, go_on)?;
+        report.costs.push(best.cost);
+    }
+    let outline = Outline { body, shaped: shaped(body, &best.state), size, reach_px: REACH * height };
+    report.mask_iou = outline.overlap(&best.problem, &best.state, capture, &masks) as f32;
     Ok(())
+}
+
+/// The mask as it is stored, thinned to a grid: cells round the crop are outside.
+fn mask_cells(frame: &Frame, grid: &Grid) -> Vec<bool> {
+    let mut inside = vec![false; grid.width * grid.height];
+    for row in 0..grid.height {
+        for column in 0..grid.width {
+            let at = grid.centre(column, row) - DVec2::new(f64::from(frame.x0), f64::from(frame.y0));
+            if at.x >= 0.0 && at.y >= 0.0 && at.x < f64::from(frame.width) && at.y < f64::from(frame.height) {
+                let pixel = at.y as usize * frame.width as usize + at.x as usize;
+                inside[row * grid.width + column] = frame.mask.get(pixel).is_some_and(|m| *m >= 128);
+            }
+        }
+    }
+    inside
+}
+
+fn mask_field(frame: &Frame) -> Option<Field> {
+    let grid = Grid::around(frame.x0, frame.y0, frame.width, frame.height);
+    Field::new(grid, &mask_cells(frame, &grid))
+}
+
+fn shaped(body: &Body, state: &State) -> Vec<DVec3> {
+    let betas: Vec<f32> = state.shared.betas.iter().map(|b| *b as f32).collect();
+    let double = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
+    body.shaped_vertices(&betas).into_iter().map(double).collect()
+}
+
+/// The model's outline in all frames of one state.
+struct Outline<'a> {
+    body: &'a Body,
+    shaped: Vec<DVec3>,
+    /// Of the picture, pixels.
+    size: DVec2,
+    reach_px: f64,
+}
+
+impl Outline<'_> {
+    /// Renews the problem's contours. `known`: the surface points that the problem already holds.
+    fn attach(&self, problem: &mut Problem, state: &State, masks: &[Option<Field>], known: &mut HashMap<usize, usize>) {
+        let camera = problem.camera.zoomed(state.shared.log_focal);
+        let mut contours = Vec::with_capacity(masks.len());
+        for (frame, mask) in state.frames.iter().zip(masks) {
+            let posed = problem.rig.pose(frame, &state.shared);
+            let mut points = mask.as_ref().map_or_else(Vec::new, |mask| self.points(&posed, &camera, mask));
+            for point in &mut points {
+                let vertex = point.vertex;
+                point.vertex = *known.entry(vertex).or_insert_with(|| {
+                    problem.surface.push(Point::vertex(self.body, vertex));
+                    problem.surface.len() - 1
+                });
+            }
+            contours.push(points);
+        }
+        problem.contours = contours;
+    }
+
+    /// Every vertex in camera space.
+    fn posed_vertices(&self, posed: &Posed) -> Vec<DVec3> {
+        let rest = posed.rest();
+        let maps: [(DMat3, DVec3); N_JOINTS] =
+            std::array::from_fn(|j| (posed.rotations[j], posed.positions[j] - posed.rotations[j] * rest[j]));
+        let place = |(v, p): (usize, &DVec3)| {
+            let mut total = DVec3::ZERO;
+            for (joint, weight) in self.body.lbs_joints[v].iter().zip(&self.body.lbs_weights[v]) {
+                if *weight > 0.0 {
+                    let (turn, shift) = &maps[*joint as usize];
+                    total += (*turn * *p + *shift) * f64::from(*weight);
+                }
+            }
+            total
+        };
+        self.shaped.iter().enumerate().map(place).collect()
+    }
+
+    /// Vertices of the outline (`vertex`: the body's) and their places on the mask's edge.
+    fn points(&self, posed: &Posed, camera: &Pinhole, mask: &Field) -> Vec<ContourPoint> {
+        let image: Vec<DVec2> = self.posed_vertices(posed).into_iter().map(|p| camera.project(p)).collect();
+        let Some(model) = Field::new(mask.grid, &fill(&mask.grid, &image, &self.body.faces)) else {
+            return Vec::new();
+        };
+        let mut candidates = Vec::new();
+        for vertex in rim(&image, &self.body.faces) {
+            let at = image[vertex];
+            let border = at.min(self.size - at).min_element();
+            let Some((depth, outward)) = model.slope(at).filter(|_| border > BORDER_PX) else { continue };
+            if depth.abs() > 1.5 * mask.grid.step {
+                continue;
+            }
+            let Some((distance, normal)) = mask.slope(at) else { continue };
+            if normal.dot(outward) > ALIKE && distance.abs() < self.reach_px {
+                candidates.push(ContourPoint { vertex, at: at - normal * distance, normal });
+            }
+        }
+        let every = candidates.len().div_ceil(POINTS).max(1);
+        candidates.into_iter().step_by(every).collect()
+    }
+
+    /// Mean intersection over union with the masks.
+    fn overlap(&self, problem: &Problem, state: &State, capture: &Capture, masks: &[Option<Field>]) -> f64 {
+        let camera = problem.camera.zoomed(state.shared.log_focal);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for ((frame, mask), seen) in state.frames.iter().zip(masks).zip(&capture.frames) {
+            let Some(mask) = mask else { continue };
+            let posed = problem.rig.pose(frame, &state.shared);
+            let image: Vec<DVec2> = self.posed_vertices(&posed).into_iter().map(|p| camera.project(p)).collect();
+            let model = fill(&mask.grid, &image, &self.body.faces);
+            let pairs = || model.iter().zip(mask_cells(seen, &mask.grid));
+            let both = pairs().filter(|(a, b)| **a && *b).count();
+            let any = pairs().filter(|(a, b)| **a || *b).count();
+            sum += both as f64 / any.max(1) as f64;
+            count += 1.0;
+        }
+        sum / f64::max(count, 1.0)
+    }
+}
+
+/// Vertices between faces that look at us and faces that look away, ascending.
+fn rim(image: &[DVec2], faces: &[[u32; 3]]) -> Vec<usize> {
+    let mut sides = vec![0u8; image.len()];
+    for face in faces {
+        let [a, b, c] = face.map(|v| image[v as usize]);
+        let side = if (b - a).perp_dot(c - a) > 0.0 { 1 } else { 2 };
+        face.iter().for_each(|v| sides[*v as usize] |= side);
+    }
+    (0..image.len()).filter(|v| sides[*v] == 3).collect()
 }

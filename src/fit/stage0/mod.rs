@@ -23,6 +23,7 @@ mod rig;
 mod rotation;
 mod setup;
 mod sides;
+mod silhouette;
 mod state;
 #[cfg(test)]
 mod synthetic;

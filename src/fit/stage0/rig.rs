@@ -177,6 +177,11 @@ impl Influence {
 }
 
 impl Posed {
+    /// Joints in the zero pose.
+    pub fn rest(&self) -> &[DVec3; N_JOINTS] {
+        &self.rest
+    }
+
     /// Where the point is.
     pub fn place(&self, point: &Point, betas: &[f64], added: DVec3) -> DVec3 {
         let mut total = DVec3::ZERO;

@@ -1,6 +1,6 @@
 //! Clips made in code, with their truth: a person in an A-pose who turns before the camera.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg32;
 
@@ -8,6 +8,7 @@ use super::landmarks::N_OFFSETS;
 use super::landmarks::{GROUPS, landmarks};
 use super::problem::Pinhole;
 use super::rig::{Point, Rig};
+use super::silhouette::{Grid, fill};
 use super::state::{Frame as Pose, Shared};
 use super::{Stage0Result, rotation};
 use crate::body::{Body, N_JOINTS};
@@ -37,6 +38,8 @@ pub struct Difficulty {
     /// Faces of backs are still found, as sure as others.
     pub face_through_head: bool,
     pub format: &'static str,
+    /// With masks of the naked body.
+    pub masks: bool,
     pub seed: u64,
 }
 
@@ -56,6 +59,7 @@ impl Default for Difficulty {
             focal_guess: None,
             face_through_head: false,
             format: "coco17",
+            masks: false,
             seed: 1,
         }
     }
@@ -138,7 +142,7 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
                 at.y = rng.random_range(0.0..f64::from(SIDE_PX));
             }
             if rng.random::<f64>() < how.dropped {
-                (at, confidence) = (glam::DVec2::ZERO, 0.0);
+                (at, confidence) = (DVec2::ZERO, 0.0);
             }
             keypoints.push([at.x as f32, at.y as f32, confidence]);
         }
@@ -146,8 +150,15 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
             let given = keypoints.clone();
             (0..given.len()).for_each(|k| keypoints[k] = given[marks[k].partner]);
         }
-        let index = t as u32;
-        frames.push(Frame { index, x0: 0, y0: 0, width: 0, height: 0, rgb: Vec::new(), mask: Vec::new(), keypoints });
+        let mut frame =
+            Frame { index: t as u32, x0: 0, y0: 0, width: 0, height: 0, rgb: Vec::new(), mask: Vec::new(), keypoints };
+        if how.masks {
+            let image: Vec<DVec2> = (0..body.n_vertices())
+                .map(|v| pinhole.project(posed.place(&Point::vertex(body, v), &shared.betas, DVec3::ZERO)))
+                .collect();
+            add_mask(&mut frame, &image, &body.faces);
+        }
+        frames.push(frame);
     }
     let guess = FOCAL_PX * how.focal_guess.unwrap_or(1.0);
     let camera = Camera {
@@ -171,6 +182,17 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
         warnings: Vec::new(),
     };
     Clip { capture, poses, shared }
+}
+
+/// A crop with the mask of a projected mesh.
+fn add_mask(frame: &mut Frame, image: &[DVec2], faces: &[[u32; 3]]) {
+    let low = image.iter().copied().reduce(DVec2::min).unwrap().floor() - 4.0;
+    let high = image.iter().copied().reduce(DVec2::max).unwrap().ceil() + 4.0;
+    let (low, high) = (low.max(DVec2::ZERO), high.min(DVec2::splat(f64::from(SIDE_PX))));
+    let size = high - low;
+    let grid = Grid { origin: low, step: 1.0, width: size.x as usize, height: size.y as usize };
+    (frame.x0, frame.y0, frame.width, frame.height) = (low.x as u32, low.y as u32, size.x as u32, size.y as u32);
+    frame.mask = fill(&grid, image, faces).into_iter().map(|inside| if inside { 255 } else { 0 }).collect();
 }
 
 /// How far a result is from the truth.

@@ -1,11 +1,14 @@
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::normal::Normal;
+use super::rotation;
 use super::setup;
-use super::state::{Layout, State, Step};
+use super::silhouette::{Field, Grid};
+use super::state::{Frame as Pose, Layout, State, Step};
 use super::synthetic::{Clip, Difficulty, Errors, clip, errors};
 use super::{Stage0Error, Stage0Options, Stage0Result, solve};
 use crate::body::Body;
+use crate::capture::KnownPoses;
 
 fn solved(how: &Difficulty) -> (Clip, Stage0Result, Errors) {
     let body = Body::test_body();
@@ -165,6 +168,60 @@ fn steps_of_the_block_solver_solve_the_whole_system() {
     for (i, found) in step.frames.iter().chain(&step.shared).enumerate() {
         assert!((found - expected[i]).abs() < 1e-6, "{i}: {found} and {}", expected[i]);
     }
+}
+
+#[test]
+fn masks_tell_the_girth() {
+    let body = Body::test_body();
+    let how = Difficulty { frames: 12, masks: true, betas: vec![0.2, 1.0, 0.3], seed: 12, ..Difficulty::default() };
+    let clip = clip(&body, &how);
+    let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
+    let errors = errors(&body, &clip, &result);
+    assert!((result.betas[1] - 1.0).abs() < 0.25, "{:?}", result.betas);
+    assert!(result.report.mask_iou > 0.95, "{}", result.report.mask_iou);
+    assert!(errors.scaled < 0.02, "{errors:?}");
+}
+
+#[test]
+fn distances_to_a_disc() {
+    let grid = Grid { origin: DVec2::new(-3.0, 5.0), step: 2.0, width: 60, height: 50 };
+    let middle = DVec2::new(55.0, 52.0);
+    let cells = (0..50 * 60).map(|i| grid.centre(i % 60, i / 60).distance(middle) < 20.0);
+    let field = Field::new(grid, &cells.collect::<Vec<_>>()).unwrap();
+    for place in [DVec2::new(55.0, 52.0), DVec2::new(80.0, 60.0), DVec2::new(40.0, 41.0), DVec2::new(30.0, 80.0)] {
+        let (expected, found) = (place.distance(middle) - 20.0, field.at(place).unwrap());
+        assert!((found - expected).abs() < 1.5, "{place}: {found} and {expected}");
+    }
+    let (_, normal) = field.slope(DVec2::new(80.0, 52.0)).unwrap();
+    assert!(normal.dot(DVec2::X) > 0.99, "{normal}");
+    assert!(Field::new(grid, &[true; 50 * 60]).is_none());
+}
+
+#[test]
+fn given_poses_are_kept_and_give_the_shape() {
+    let body = Body::test_body();
+    let how = Difficulty { frames: 10, masks: true, betas: vec![0.1, 0.8, 0.9], seed: 13, ..Difficulty::default() };
+    let mut clip = clip(&body, &how);
+    let numbers = |pose: &Pose| {
+        let mut theta = pose.theta;
+        theta[0] = rotation::log(pose.root);
+        theta.iter().flat_map(|v| v.as_vec3().to_array()).collect::<Vec<f32>>()
+    };
+    let known = KnownPoses {
+        poses: clip.poses.iter().map(numbers).collect(),
+        trans: clip.poses.iter().map(|p| p.pelvis.as_vec3().to_array()).collect(),
+        is_pelvis: true,
+        betas: None,
+    };
+    clip.capture.poses = Some(known);
+    let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
+    let errors = errors(&body, &clip, &result);
+    assert!(errors.joints < 0.015, "{errors:?} {:?}", result.betas);
+    assert!((result.betas[1] - 0.8).abs() < 0.25, "{:?}", result.betas);
+    let poses = &mut clip.capture.poses.as_mut().unwrap().poses;
+    poses[4].pop();
+    let error = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap_err();
+    assert!(matches!(error, Stage0Error::PoseLength { frame: 4, found: 71 }), "{error}");
 }
 
 #[test]
