@@ -1,9 +1,16 @@
 //! The parametric body: its data, its file format, its importers.
 
+mod check;
+mod file;
+pub mod import;
 mod landmarks;
 mod test_body;
 
+pub use check::InvalidBody;
+pub use file::BodyError;
 pub use landmarks::Landmarks;
+
+use serde::{Deserialize, Serialize};
 
 /// Joints of every body, in SMPL's order.
 pub const N_JOINTS: usize = 24;
@@ -78,7 +85,7 @@ pub struct Body {
 }
 
 /// The keypoints of one detector format on a body.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeypointSet {
     /// `coco17`, `coco18`, `body25`
     pub format: String,
@@ -87,7 +94,8 @@ pub struct KeypointSet {
 }
 
 /// Where a keypoint lies.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum KeypointSource {
     /// A joint.
     Joint(u32),

