@@ -9,12 +9,21 @@
 //! given ([`LossSlot`], summed by [`reduce::Sum`]), so that the frames of a batch add up; its `backward` takes the weight
 //! λ and adds λ·∂L/∂x. The caller clears the slots.
 
+/// The kernel of `shaders/<path>.wgsl`; `path` is its label too.
+macro_rules! kernel {
+    ($gpu:expr, $path:literal) => {
+        $gpu.kernel($path, include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/shaders/", $path, ".wgsl")), &[])
+    };
+}
+
 pub mod adam;
 pub mod diffuse;
 pub mod face_area;
+pub mod face_normals;
 pub mod hard_rasterize;
 pub mod interpolate;
 pub mod keypoints;
+pub mod laplacian;
 mod linear;
 pub mod nmr;
 pub mod normal_consistency;
@@ -28,6 +37,8 @@ pub mod soft_rasterize;
 #[cfg(test)]
 pub(crate) mod testing;
 pub mod texture_field;
+pub mod topology;
 
 pub use real::Real;
 pub use reduce::LossSlot;
+pub use topology::{Rows, Topology};

@@ -42,8 +42,8 @@ pub struct Sum {
 impl Sum {
     pub fn new(gpu: &Gpu) -> Self {
         Self {
-            partial: gpu.kernel("reduce/partial", include_str!("../../shaders/reduce/partial.wgsl"), &[]),
-            add: gpu.kernel("reduce/add", include_str!("../../shaders/reduce/add.wgsl"), &[]),
+            partial: kernel!(gpu, "reduce/partial"),
+            add: kernel!(gpu, "reduce/add"),
             partials: gpu.zeros("reduce/partials", PARTIALS),
         }
     }

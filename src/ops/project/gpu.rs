@@ -43,18 +43,12 @@ pub struct Project {
     screen_backward: Arc<Kernel>,
 }
 
-macro_rules! kernel {
-    ($gpu:expr, $pass:literal) => {
-        $gpu.kernel(concat!("project/", $pass), include_str!(concat!("../../../shaders/project/", $pass, ".wgsl")), &[])
-    };
-}
-
 impl Project {
     pub fn new(gpu: &Gpu) -> Self {
         Self {
-            forward: kernel!(gpu, "forward"),
-            view_backward: kernel!(gpu, "view_backward"),
-            screen_backward: kernel!(gpu, "screen_backward"),
+            forward: kernel!(gpu, "project/forward"),
+            view_backward: kernel!(gpu, "project/view_backward"),
+            screen_backward: kernel!(gpu, "project/screen_backward"),
         }
     }
 

@@ -52,31 +52,21 @@ struct Kernels {
     rodrigues_backward: Arc<Kernel>,
 }
 
-macro_rules! kernel {
-    ($gpu:expr, $pass:literal) => {
-        $gpu.kernel(
-            concat!("skinning/", $pass),
-            include_str!(concat!("../../../shaders/skinning/", $pass, ".wgsl")),
-            &[],
-        )
-    };
-}
-
 impl Kernels {
     fn new(gpu: &Gpu) -> Self {
         Self {
-            shape_vertices: kernel!(gpu, "shape_vertices"),
-            shape_joints: kernel!(gpu, "shape_joints"),
-            betas_backward: kernel!(gpu, "betas_backward"),
-            offsets_backward: kernel!(gpu, "offsets_backward"),
-            joints: kernel!(gpu, "joints"),
-            pose_blend: kernel!(gpu, "pose_blend"),
-            vertices: kernel!(gpu, "vertices"),
-            vertices_backward: kernel!(gpu, "vertices_backward"),
-            transforms_backward: kernel!(gpu, "transforms_backward"),
-            chain_backward: kernel!(gpu, "chain_backward"),
-            pose_blend_backward: kernel!(gpu, "pose_blend_backward"),
-            rodrigues_backward: kernel!(gpu, "rodrigues_backward"),
+            shape_vertices: kernel!(gpu, "skinning/shape_vertices"),
+            shape_joints: kernel!(gpu, "skinning/shape_joints"),
+            betas_backward: kernel!(gpu, "skinning/betas_backward"),
+            offsets_backward: kernel!(gpu, "skinning/offsets_backward"),
+            joints: kernel!(gpu, "skinning/joints"),
+            pose_blend: kernel!(gpu, "skinning/pose_blend"),
+            vertices: kernel!(gpu, "skinning/vertices"),
+            vertices_backward: kernel!(gpu, "skinning/vertices_backward"),
+            transforms_backward: kernel!(gpu, "skinning/transforms_backward"),
+            chain_backward: kernel!(gpu, "skinning/chain_backward"),
+            pose_blend_backward: kernel!(gpu, "skinning/pose_blend_backward"),
+            rodrigues_backward: kernel!(gpu, "skinning/rodrigues_backward"),
         }
     }
 }
