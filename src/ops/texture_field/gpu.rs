@@ -8,6 +8,8 @@ use crate::gpu::{AnyBuffer, Buffer, Gpu, GpuError, Kernel, Recorder, linear_grou
 
 /// Pixels that one partial sum of the weights' gradient covers.
 const CHUNK: usize = 256;
+/// Listed pixels that one invocation follows through a level.
+const RUN: usize = 32;
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -36,7 +38,8 @@ struct Kernels {
     encode_forward: Arc<Kernel>,
     mlp_forward: Arc<Kernel>,
     mlp_backward: Arc<Kernel>,
-    encode_backward: Arc<Kernel>,
+    table_gradient: Arc<Kernel>,
+    coords_gradient: Arc<Kernel>,
     weight_gradient: [Arc<Kernel>; 3],
     weight_reduce: Arc<Kernel>,
 }
@@ -128,7 +131,7 @@ impl TextureField {
         recorder.dispatch(&self.kernels.encode_forward, &encode, &buffers, linear_groups(n_max, 64));
         let params: Params = [n_max as u32, 0, 0, 0];
         let buffers: [&dyn AnyBuffer; 6] = [count, &self.weights, &a.encoded, &a.hidden0, &a.hidden1, &self.rgb];
-        recorder.dispatch(&self.kernels.mlp_forward, &params, &buffers, linear_groups(n_max, 64));
+        recorder.dispatch(&self.kernels.mlp_forward, &params, &buffers, linear_groups(n_max, 256));
     }
 
     /// Records the backward pass of the last [`forward`](Self::forward), with the same arguments: adds to `grad_table`,
@@ -162,7 +165,7 @@ impl TextureField {
             &a.delta2,
             &a.grad_encoded,
         ];
-        recorder.dispatch(&self.kernels.mlp_backward, &params(0), &buffers, linear_groups(n_max, 64));
+        recorder.dispatch(&self.kernels.mlp_backward, &params(0), &buffers, linear_groups(n_max, 256));
         let layers = [(&a.encoded, &a.delta0), (&a.hidden0, &a.delta1), (&a.hidden1, &a.delta2)];
         for (layer, (inputs, deltas)) in layers.into_iter().enumerate() {
             let (inputs4, outputs4) = self.layer4(layer);
@@ -175,8 +178,12 @@ impl TextureField {
         let buffers: [&dyn AnyBuffer; 3] = [count, &a.partial, &self.grad_weights];
         recorder.dispatch(&self.kernels.weight_reduce, &params(0), &buffers, [weights4.div_ceil(64) as u32, 1, 1]);
         let encode = EncodeParams { n_max: n_max as u32, ..self.encode_params };
-        let buffers: [&dyn AnyBuffer; 6] = [count, coords, &self.table, &a.grad_encoded, &self.grad_table, grad_coords];
-        recorder.dispatch(&self.kernels.encode_backward, &encode, &buffers, linear_groups(n_max, 64));
+        let buffers: [&dyn AnyBuffer; 4] = [count, coords, &a.grad_encoded, &self.grad_table];
+        let runs = n_max.div_ceil(RUN).div_ceil(64) as u32;
+        let groups = [runs, self.config.n_levels as u32, 1];
+        recorder.dispatch(&self.kernels.table_gradient, &encode, &buffers, groups);
+        let buffers: [&dyn AnyBuffer; 5] = [count, coords, &self.table, &a.grad_encoded, grad_coords];
+        recorder.dispatch(&self.kernels.coords_gradient, &encode, &buffers, linear_groups(n_max, 64));
     }
 
     /// Records zeros into `grad_table` and `grad_weights`.
@@ -260,6 +267,7 @@ fn kernels(gpu: &Gpu, layout: &Layout) -> Kernels {
     }
     let encoded4 = ("ENCODED4", format!("{}u", layout.encoded4));
     let hidden4 = ("HIDDEN4", format!("{}u", layout.hidden4));
+    let run = ("RUN", format!("{RUN}u"));
     let chunk = ("CHUNK", format!("{CHUNK}u"));
     let weight_gradient = |layer: usize| {
         let (inputs4, outputs4) = layer4(layout, layer);
@@ -277,7 +285,8 @@ fn kernels(gpu: &Gpu, layout: &Layout) -> Kernels {
         encode_forward: kernel!("encode_forward", std::slice::from_ref(&encoded4)),
         mlp_forward: kernel!("mlp_forward", &widths),
         mlp_backward: kernel!("mlp_backward", &widths),
-        encode_backward: kernel!("encode_backward", std::slice::from_ref(&encoded4)),
+        table_gradient: kernel!("table_gradient", &[encoded4.clone(), run]),
+        coords_gradient: kernel!("coords_gradient", std::slice::from_ref(&encoded4)),
         weight_gradient: [0, 1, 2].map(weight_gradient),
         weight_reduce: kernel!("weight_reduce", std::slice::from_ref(&chunk)),
     }

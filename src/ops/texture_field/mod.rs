@@ -6,7 +6,7 @@
 //! | `coords` | `[P, 3]` | positions in `[0, 1]³`; what lies outside is clamped, and gets no gradient |
 //! | `count` | `[1]` u32 | how many of the `P` rows are used, on the device; rows from there on are left alone |
 //! | `table` | `[entries, 2]` | parameters of all levels, level after level |
-//! | `weights` | see [`gpu`](self) | `w0 [H, 2L]`, `w1 [H, H]`, `w2 [3, H]` in the device's order |
+//! | `weights` | `[weights4, 4]` | `w0 [H, 2L]`, `w1 [H, H]`, `w2 [3, H]`, in the order that `layout.rs` gives |
 //! | `rgb` | `[P, 3]` | result in `(0, 1)` |
 //!
 //! Level `l` has `scale = N_min · growth^l − 1` cells and `resolution = ⌈scale⌉ + 1` points along an axis. A coordinate
@@ -35,6 +35,9 @@ use rand_pcg::Pcg32;
 pub const FEATURES: usize = 2;
 /// The most levels that the kernels' uniform block holds.
 pub const MAX_LEVELS: usize = 32;
+
+/// Workgroup memory that every desktop device has.
+const WORKGROUP_BYTES: usize = 32 * 1024;
 
 /// The sizes of a field.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -97,8 +100,10 @@ impl TextureFieldConfig {
         if !(3..=24).contains(&self.log2_hashmap_size) {
             return fail("log2_hashmap_size", self.log2_hashmap_size.to_string(), "3 to 24");
         }
-        if !(1..=128).contains(&self.hidden_width) {
-            return fail("hidden_width", self.hidden_width.to_string(), "1 to 128");
+        // A workgroup holds all weights in its memory.
+        if self.hidden_width < 1 || 16 * layout::Layout::new(self).weights4() > WORKGROUP_BYTES {
+            let got = format!("{} at {} levels", self.hidden_width, self.n_levels);
+            return fail("hidden_width", got, "weights of at most 32 KiB, such as 64 at 16 levels");
         }
         let finest = self.base_resolution as f64 * self.per_level_scale.powf((self.n_levels - 1) as f64);
         if self.base_resolution < 1 || !(self.per_level_scale >= 1.0 && finest <= 65_536.0) {

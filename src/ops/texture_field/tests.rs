@@ -253,6 +253,9 @@ fn sizes_are_checked() {
     let config = TextureFieldConfig { n_features_per_level: 4, ..small() };
     let error = config.validate().unwrap_err();
     assert_eq!(error.to_string(), "texture field: n_features_per_level is 4, expected 2");
+    assert!(TextureFieldConfig { n_levels: 16, hidden_width: 64, ..small() }.validate().is_ok());
+    let error = TextureFieldConfig { hidden_width: 100, ..small() }.validate().unwrap_err();
+    assert!(error.to_string().starts_with("texture field: hidden_width is 100 at 3 levels"), "{error}");
     let mut params = TextureFieldParams::random(&small(), 1);
     params.w1.pop();
     let error = params.validate(&small()).unwrap_err();

@@ -1,5 +1,4 @@
-// Adds to grad_table (atomically) and to grad_coords what grad_encoded says. A coordinate outside [0, 1] was clamped:
-// it gets no gradient.
+// Adds to grad_coords what grad_encoded says. A coordinate outside [0, 1] was clamped: it gets no gradient.
 #import shared/linear_index
 #import shared/hash_grid
 #const ENCODED4: u32 = 6u
@@ -17,10 +16,7 @@ struct Params {
 @group(0) @binding(2) var<storage, read> coords: array<f32>;
 @group(0) @binding(3) var<storage, read> table: array<vec2<f32>>;
 @group(0) @binding(4) var<storage, read> grad_encoded: array<vec2<f32>>;
-@group(0) @binding(5) var<storage, read_write> grad_table: array<atomic_f32>;
-@group(0) @binding(6) var<storage, read_write> grad_coords: array<f32>;
-
-#atomic_f32 grad_table
+@group(0) @binding(5) var<storage, read_write> grad_coords: array<f32>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -40,20 +36,17 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let entries = corner_entries(cell.corner, level);
         let f = cell.place;
         let g = 1.0 - f;
-        var slope = vec3<f32>(0.0);
 #for K in 0..8
-        {
-            let along = vec3<f32>(select(g.x, f.x, ($Ku & 1u) != 0u), select(g.y, f.y, ($Ku & 2u) != 0u), select(g.z, f.z, ($Ku & 4u) != 0u));
-            let weight = along.x * along.y * along.z;
-            let entry = entries[$K];
-            grad_table_add(2u * entry, weight * upstream.x);
-            grad_table_add(2u * entry + 1u, weight * upstream.y);
-            let value = dot(table[entry], upstream);
-            slope.x += select(-value, value, ($Ku & 1u) != 0u) * along.y * along.z;
-            slope.y += select(-value, value, ($Ku & 2u) != 0u) * along.x * along.z;
-            slope.z += select(-value, value, ($Ku & 4u) != 0u) * along.x * along.y;
-        }
+        let v$K = dot(table[entries[$K]], upstream);
 #end
+        // Differences along each axis, interpolated along the two others.
+        let x0 = (v1 - v0) * g.y + (v3 - v2) * f.y;
+        let x1 = (v5 - v4) * g.y + (v7 - v6) * f.y;
+        let y0 = (v2 - v0) * g.x + (v3 - v1) * f.x;
+        let y1 = (v6 - v4) * g.x + (v7 - v5) * f.x;
+        let z0 = (v4 - v0) * g.x + (v5 - v1) * f.x;
+        let z1 = (v6 - v2) * g.x + (v7 - v3) * f.x;
+        let slope = vec3<f32>(x0 * g.z + x1 * f.z, y0 * g.z + y1 * f.z, z0 * g.y + z1 * f.y);
         grad += slope * level.scale;
     }
     grad = select(vec3<f32>(0.0), grad, x >= vec3<f32>(0.0) & x <= vec3<f32>(1.0));

@@ -1,0 +1,63 @@
+// Adds to grad_table what grad_encoded says. An invocation follows a run of listed pixels in one level. Neighbours mostly
+// share a cell, so it sums as long as the cell stays the same and adds to the table, atomically, when it changes.
+#import shared/hash_grid
+#const ENCODED4: u32 = 6u
+#const RUN: u32 = 32u
+
+struct Params {
+    n_max: u32,
+    n_levels: u32,
+    pad0: u32,
+    pad1: u32,
+    levels: array<Level, MAX_LEVELS>,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> count: array<u32>;
+@group(0) @binding(2) var<storage, read> coords: array<f32>;
+@group(0) @binding(3) var<storage, read> grad_encoded: array<vec2<f32>>;
+@group(0) @binding(4) var<storage, read_write> grad_table: array<atomic_f32>;
+
+#atomic_f32 grad_table
+
+fn add(corner: vec3<u32>, level: Level, sums: array<vec2<f32>, 8>) {
+    let entries = corner_entries(corner, level);
+#for K in 0..8
+    grad_table_add(2u * entries[$K], sums[$K].x);
+    grad_table_add(2u * entries[$K] + 1u, sums[$K].y);
+#end
+}
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {
+    let first = id.x * RUN;
+    let end = min(first + RUN, min(params.n_max, count[0]));
+    let level = params.levels[id.y];
+    var corner = vec3<u32>(0xffffffffu);
+    var sums: array<vec2<f32>, 8>;
+    for (var p = first; p < end; p++) {
+        let upstream = grad_encoded[p * ENCODED4 * 2u + id.y];
+        if all(upstream == vec2<f32>(0.0)) {
+            continue;
+        }
+        let cell = cell_of(vec3<f32>(coords[3u * p], coords[3u * p + 1u], coords[3u * p + 2u]), level);
+        if any(cell.corner != corner) {
+            if corner.x != 0xffffffffu {
+                add(corner, level, sums);
+            }
+            corner = cell.corner;
+            sums = array<vec2<f32>, 8>();
+        }
+        let f = cell.place;
+        let g = 1.0 - f;
+        let low = vec4<f32>(g.x * g.y, f.x * g.y, g.x * f.y, f.x * f.y) * g.z;
+        let high = vec4<f32>(g.x * g.y, f.x * g.y, g.x * f.y, f.x * f.y) * f.z;
+#for K in 0..4
+        sums[$K] += low[$K] * upstream;
+        sums[$K + 4] += high[$K] * upstream;
+#end
+    }
+    if corner.x != 0xffffffffu {
+        add(corner, level, sums);
+    }
+}
