@@ -24,6 +24,17 @@ fn identity() -> [f64; 9] {
 }
 
 impl Camera {
+    /// A camera at the world's origin without distortion.
+    pub const fn pinhole(width: u32, height: u32, [fx, fy, cx, cy]: [f64; 4]) -> Self {
+        let rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        Camera { width, height, fx, fy, cx, cy, distortion: [0.0; 5], rotation, translation: [0.0; 3] }
+    }
+
+    /// Pixels of the image.
+    pub fn n_pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
     /// The camera of the part of its image that starts at pixel (`x`, `y`); both may be negative.
     pub fn cropped(&self, x: i32, y: i32, width: u32, height: u32) -> Camera {
         Camera { width, height, cx: self.cx - f64::from(x), cy: self.cy - f64::from(y), ..self.clone() }

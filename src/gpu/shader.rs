@@ -15,11 +15,13 @@ use std::fmt::Write;
 /// The import-only sources.
 const SHARED: &[(&str, &str)] = &[
     ("shared/area_ratio", include_str!("../../shaders/shared/area_ratio.wgsl")),
+    ("shared/hard_triangle", include_str!("../../shaders/shared/hard_triangle.wgsl")),
     ("shared/hash_grid", include_str!("../../shaders/shared/hash_grid.wgsl")),
     ("shared/linear_index", include_str!("../../shaders/shared/linear_index.wgsl")),
     ("shared/listed", include_str!("../../shaders/shared/listed.wgsl")),
     ("shared/pinhole", include_str!("../../shaders/shared/pinhole.wgsl")),
     ("shared/rodrigues", include_str!("../../shaders/shared/rodrigues.wgsl")),
+    ("shared/soft_face", include_str!("../../shaders/shared/soft_face.wgsl")),
     ("shared/unit_or_zero", include_str!("../../shaders/shared/unit_or_zero.wgsl")),
     ("shared/workgroup_sum", include_str!("../../shaders/shared/workgroup_sum.wgsl")),
 ];

@@ -12,11 +12,15 @@
 /// The kernel of `shaders/<path>.wgsl`; `path` is its label too.
 macro_rules! kernel {
     ($gpu:expr, $path:literal) => {
-        $gpu.kernel($path, include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/shaders/", $path, ".wgsl")), &[])
+        kernel!($gpu, $path, &[])
+    };
+    ($gpu:expr, $path:literal, $constants:expr) => {
+        $gpu.kernel($path, include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/shaders/", $path, ".wgsl")), $constants)
     };
 }
 
 pub mod adam;
+mod corners;
 pub mod diffuse;
 pub mod face_area;
 pub mod face_normals;
@@ -39,6 +43,7 @@ pub(crate) mod testing;
 pub mod texture_field;
 pub mod topology;
 
+pub use corners::Corners;
 pub use real::Real;
 pub use reduce::LossSlot;
 pub use topology::{Rows, Topology};

@@ -88,3 +88,29 @@ pub fn assert_gradient(what: &str, x: &[f64], gradient: &[f64], mut loss: impl F
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
+
+/// `n` values in [−1, 1) that look random.
+pub fn noise(n: usize, seed: u64) -> Vec<f64> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    };
+    (0..n).map(|_| next()).collect()
+}
+
+/// A closed bumpy ball of about `2·n·n` faces, half a metre in radius, three metres before the camera: `(view, faces)`.
+pub fn bumpy_surface(n: usize) -> (Vec<f64>, Vec<[u32; 3]>) {
+    let mut view = Vec::new();
+    for i in 0..n * n {
+        let (a, b) = ((i / n) as f64 / (n - 1) as f64, (i % n) as f64 / n as f64);
+        let (theta, phi) = (std::f64::consts::PI * (0.02 + 0.96 * a), std::f64::consts::TAU * b);
+        let r = 0.5 + 0.06 * (9.0 * theta).sin() * (7.0 * phi).cos();
+        view.extend([r * theta.sin() * phi.cos(), -r * theta.cos(), 3.0 + r * theta.sin() * phi.sin()]);
+    }
+    let at = |i: usize, j: usize| (i * n + j % n) as u32;
+    let quad = |(i, j)| [[at(i, j), at(i, j + 1), at(i + 1, j)], [at(i + 1, j), at(i, j + 1), at(i + 1, j + 1)]];
+    (view, (0..n - 1).flat_map(|i| (0..n).map(move |j| (i, j))).flat_map(quad).collect())
+}

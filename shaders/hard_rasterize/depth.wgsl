@@ -1,0 +1,31 @@
+// Pass 1, one face an invocation: the nearest depth of each pixel. Stored as ~bits, so that zero means none.
+#import shared/linear_index
+#import shared/hard_triangle
+
+@group(0) @binding(0) var<uniform> params: HardParams;
+@group(0) @binding(1) var<storage, read> view: array<f32>;
+@group(0) @binding(2) var<storage, read> faces: array<u32>;
+@group(0) @binding(3) var<storage, read_write> nearest: array<atomic<u32>>;
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let f = linear_index(id, groups, 64u);
+    if f >= params.n_faces {
+        return;
+    }
+    let t = triangle_at(f);
+    let box = pixel_box(t);
+    var x = box.x0;
+    var y = box.y0;
+    while y <= box.y1 {
+        let m = meet(t, ray_at(x, y));
+        if covers(m) {
+            atomicMax(&nearest[u32(y) * params.width + u32(x)], ~bitcast<u32>(depth_of(t, m)));
+        }
+        x++;
+        if x > box.x1 {
+            x = box.x0;
+            y++;
+        }
+    }
+}

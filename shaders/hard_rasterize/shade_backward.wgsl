@@ -1,0 +1,36 @@
+// One face an invocation: grad_face_colours += sum of grad_image over the pixels that the face owns.
+#import shared/linear_index
+#import shared/hard_triangle
+
+@group(0) @binding(0) var<uniform> params: HardParams;
+@group(0) @binding(1) var<storage, read> view: array<f32>;
+@group(0) @binding(2) var<storage, read> faces: array<u32>;
+@group(0) @binding(3) var<storage, read> pix_to_face: array<i32>;
+@group(0) @binding(4) var<storage, read> grad_image: array<f32>;
+@group(0) @binding(5) var<storage, read_write> grad_face_colours: array<f32>;
+
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let f = linear_index(id, groups, 64u);
+    if f >= params.n_faces {
+        return;
+    }
+    let box = pixel_box(triangle_at(f));
+    var sum = vec3<f32>(0.0);
+    var x = box.x0;
+    var y = box.y0;
+    while y <= box.y1 {
+        let pixel = u32(y) * params.width + u32(x);
+        if pix_to_face[pixel] == i32(f) {
+            sum += vec3<f32>(grad_image[3u * pixel], grad_image[3u * pixel + 1u], grad_image[3u * pixel + 2u]);
+        }
+        x++;
+        if x > box.x1 {
+            x = box.x0;
+            y++;
+        }
+    }
+    grad_face_colours[3u * f] += sum.x;
+    grad_face_colours[3u * f + 1u] += sum.y;
+    grad_face_colours[3u * f + 2u] += sum.z;
+}
