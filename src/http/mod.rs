@@ -1,1 +1,78 @@
-//! (to come)
+//! The REST API: one file a resource, [`error`] alone knows status codes.
+//!
+//! Handlers know the queue, the store and traits for what is done elsewhere ([`app::Inspector`], the renderer). None
+//! computes: a fit may use every core and a status call is still answered at once.
+
+mod app;
+mod avatars;
+mod error;
+mod extract;
+mod files;
+mod health;
+mod jobs;
+mod metrics;
+pub mod openapi;
+mod renders;
+mod server;
+
+use std::any::Any;
+
+use axum::Router;
+use axum::extract::Request;
+use axum::http::HeaderName;
+use axum::response::{IntoResponse, Response};
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
+use tower_http::trace::TraceLayer;
+use utoipa::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+pub use app::{App, InspectError, Inspector, Limits, UploadedFiles};
+pub use server::serve;
+
+use error::ApiError;
+
+const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+
+fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(openapi::Description::openapi())
+        .merge(jobs::router())
+        .routes(routes!(avatars::get))
+        .routes(routes!(avatars::mesh))
+        .routes(routes!(files::file))
+        .routes(routes!(renders::render))
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz))
+        .routes(routes!(health::figures))
+        .routes(routes!(health::description))
+}
+
+/// The whole API over its state.
+pub fn router(app: App) -> Router {
+    metrics::install();
+    let (router, _) = routes().split_for_parts();
+    router
+        .fallback(|request: Request| async move { ApiError::UnknownPath(request.uri().path().into()) })
+        .method_not_allowed_fallback(|request: Request| async move {
+            ApiError::MethodNotAllowed(format!("{} {}", request.method(), request.uri().path()))
+        })
+        // Runs inside the routes, where the pattern of the path is known.
+        .route_layer(axum::middleware::from_fn(metrics::count))
+        .layer(CatchPanicLayer::custom(panicked))
+        .layer(PropagateRequestIdLayer::new(REQUEST_ID))
+        .layer(TraceLayer::new_for_http().make_span_with(span))
+        .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
+        .with_state(app)
+}
+
+fn span(request: &Request) -> tracing::Span {
+    let id = request.headers().get(REQUEST_ID).and_then(|value| value.to_str().ok()).unwrap_or("");
+    tracing::info_span!("request", method = %request.method(), path = request.uri().path(), id)
+}
+
+fn panicked(panic: Box<dyn Any + Send>) -> Response {
+    let message = panic.downcast_ref::<String>().cloned();
+    let message = message.or_else(|| panic.downcast_ref::<&str>().map(ToString::to_string));
+    ApiError::Internal(anyhow::anyhow!("a handler panicked: {}", message.unwrap_or_default())).into_response()
+}

@@ -1,0 +1,85 @@
+//! What the handlers share.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use tokio::sync::{Semaphore, watch};
+
+use crate::jobs::render::Renderer;
+use crate::jobs::{Clip, Env, JobOptions, Queue};
+use crate::storage::Store;
+
+/// The parts of an upload as files.
+#[derive(Clone, Debug)]
+pub struct UploadedFiles {
+    pub video: PathBuf,
+    pub masks: PathBuf,
+    pub keypoints: PathBuf,
+    pub camera: Option<PathBuf>,
+    pub poses: Option<PathBuf>,
+}
+
+/// Why an upload is not accepted.
+#[derive(Debug, thiserror::Error)]
+pub enum InspectError {
+    /// The sender's to mend.
+    #[error("{message}")]
+    Bad { part: String, frame: Option<u32>, message: String, expected: String },
+    #[error("the upload could not be inspected")]
+    Internal(#[source] anyhow::Error),
+}
+
+/// Looks through an upload before its job is accepted. Blocks.
+pub trait Inspector: Send + Sync + 'static {
+    fn inspect(&self, files: &UploadedFiles, options: &JobOptions) -> Result<Clip, InspectError>;
+}
+
+/// Sizes beyond which a request is refused.
+#[derive(Clone, Debug)]
+pub struct Limits {
+    /// Of all parts of an upload together.
+    pub upload_bytes: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Limits { upload_bytes: 4 << 30 }
+    }
+}
+
+/// Uploads that are inspected at the same time: each runs a decoder.
+const INSPECTIONS: usize = 2;
+
+/// State of the router.
+#[derive(Clone)]
+pub struct App {
+    pub queue: Arc<dyn Queue>,
+    pub store: Arc<Store>,
+    pub renderer: Arc<dyn Renderer>,
+    pub inspector: Arc<dyn Inspector>,
+    pub env: Env,
+    pub limits: Limits,
+    pub(super) inspections: Arc<Semaphore>,
+    /// Id of the newest event, and the end of the server: what event streams wait for.
+    pub(super) feed: watch::Sender<Feed>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Feed {
+    pub newest: i64,
+    pub closing: bool,
+}
+
+impl App {
+    pub fn new(
+        queue: Arc<dyn Queue>,
+        store: Arc<Store>,
+        renderer: Arc<dyn Renderer>,
+        inspector: Arc<dyn Inspector>,
+        env: Env,
+        limits: Limits,
+    ) -> App {
+        let inspections = Arc::new(Semaphore::new(INSPECTIONS));
+        App { queue, store, renderer, inspector, env, limits, inspections, feed: watch::Sender::default() }
+    }
+}

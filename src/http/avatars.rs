@@ -1,0 +1,131 @@
+//! `/v1/avatars/{id}` and its posed mesh.
+
+use std::collections::BTreeMap;
+
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, header};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use uuid::Uuid;
+
+use super::App;
+use super::error::{ApiError, Problem};
+use super::extract::{ApiQuery, parse_id, unknown};
+use super::files::published;
+use super::renders::answer;
+use crate::camera::Camera;
+use crate::jobs::Avatar;
+use crate::jobs::render::{RenderRequest, What};
+
+/// The result of a job.
+#[derive(Serialize, utoipa::ToSchema)]
+pub(super) struct AvatarView {
+    pub id: Uuid,
+    /// The job that made it.
+    pub job: Uuid,
+    /// Name of the body model.
+    pub body: String,
+    /// Fitted frames; `motion.npz` tells which frames of the video they are.
+    pub frames: u32,
+    /// The capture's, of the images as they were fitted.
+    #[schema(value_type = Object)]
+    pub camera: Camera,
+    /// Figures of the fit, as in `report.json`.
+    #[schema(value_type = Object)]
+    pub metrics: serde_json::Value,
+    pub created_at: String,
+    /// When the files will be removed.
+    pub expires_at: Option<String>,
+    /// File names and where to get them.
+    pub files: BTreeMap<String, String>,
+}
+
+/// Describe an avatar.
+#[utoipa::path(
+    get, path = "/v1/avatars/{id}", tag = "avatars", params(("id" = String, Path, description = "The avatar's id")),
+    responses(
+        (status = 200, description = "The avatar", body = AvatarView),
+        (status = 404, description = "No such avatar", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn get(State(app): State<App>, Path(id): Path<String>) -> Result<Json<AvatarView>, ApiError> {
+    let avatar = find(&app, &id).await?;
+    let url = |name: &str| format!("/v1/avatars/{}/{name}", avatar.id);
+    Ok(Json(AvatarView {
+        id: avatar.id,
+        job: avatar.id,
+        body: avatar.body,
+        frames: avatar.frames,
+        camera: avatar.camera,
+        metrics: avatar.metrics,
+        created_at: avatar.created_at.rfc3339(),
+        expires_at: avatar.expires_at.map(|time| time.rfc3339()),
+        files: avatar.files.iter().map(|file| (file.name.clone(), url(&file.name))).collect(),
+    }))
+}
+
+#[derive(Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct MeshQuery {
+    /// A fitted frame, from 0; without it the T-pose.
+    frame: Option<u32>,
+}
+
+/// Download the mesh: in the T-pose, or as it was posed in a frame.
+///
+/// PLY in world space, metres, with vertex colours.
+#[utoipa::path(
+    get, path = "/v1/avatars/{id}/mesh.ply", tag = "avatars",
+    params(("id" = String, Path, description = "The avatar's id"), MeshQuery),
+    responses(
+        (status = 200, description = "The mesh", body = String, content_type = "application/octet-stream"),
+        (status = 206, description = "A range of the T-pose mesh", body = String,
+            content_type = "application/octet-stream"),
+        (status = 404, description = "No such avatar", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The avatar has no such frame", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 503, description = "No worker is free; try again", body = Problem,
+            content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn mesh(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    ApiQuery(query): ApiQuery<MeshQuery>,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let Some(frame) = query.frame else {
+        return published(&app, &id, "mesh.ply", &headers).await;
+    };
+    let avatar = find(&app, &id).await?;
+    check_frame(&avatar, frame)?;
+    let request = RenderRequest { model: model(&app, &avatar), what: What::Mesh { frame } };
+    let ply = answer(&app, request).await?;
+    let described = [
+        (header::CONTENT_TYPE, "application/octet-stream".to_string()),
+        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"mesh_{frame:04}.ply\"")),
+    ];
+    Ok((described, ply).into_response())
+}
+
+pub(super) async fn find(app: &App, id: &str) -> Result<Avatar, ApiError> {
+    app.queue.avatar(parse_id("avatar", id)?).await?.ok_or_else(|| unknown("avatar", id))
+}
+
+pub(super) fn check_frame(avatar: &Avatar, frame: u32) -> Result<(), ApiError> {
+    if frame < avatar.frames {
+        return Ok(());
+    }
+    Err(ApiError::Input {
+        detail: format!("there is no frame {frame}"),
+        part: "frame".into(),
+        frame: Some(frame),
+        expected: format!("0 to {}", avatar.frames - 1),
+    })
+}
+
+pub(super) fn model(app: &App, avatar: &Avatar) -> std::path::PathBuf {
+    app.store.results(avatar.id, avatar.epoch).join("model.npz")
+}

@@ -1,0 +1,207 @@
+//! What can go wrong with a request. The only place that knows status codes: everything else names the mistake.
+
+use axum::Json;
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+
+use crate::jobs::render::RenderError;
+use crate::jobs::{OptionsError, QueueError, State};
+
+/// A problem document (RFC 9457).
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+#[schema(example = json!({
+    "type": "urn:effigy:problem:invalid-input", "title": "The upload cannot be used", "status": 422,
+    "detail": "masks, frame 12: the mask is empty", "part": "masks", "frame": 12, "expected": "a person in every mask",
+}))]
+pub struct Problem {
+    /// Stable name of the kind of problem, for programs.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// The kind of problem, for people.
+    pub title: String,
+    pub status: u16,
+    /// This occurrence.
+    pub detail: String,
+    /// The part or field of the request that is at fault.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub part: Option<String>,
+    /// The frame of the uploaded video that is at fault, from 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame: Option<u32>,
+    /// What would have been right.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expected: Option<String>,
+}
+
+/// A request that cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum ApiError {
+    #[error("there is nothing at {0}")]
+    UnknownPath(String),
+    #[error("{0} is not possible here")]
+    MethodNotAllowed(String),
+    #[error("there is no {what} {id:?}")]
+    Unknown { what: &'static str, id: String },
+    /// The request's form is wrong: not multipart, not JSON, a part missing, unknown or sent twice.
+    #[error("{detail}")]
+    Malformed { detail: String, part: Option<String>, expected: Option<String> },
+    #[error("{0}")]
+    MediaType(String),
+    #[error("{0}")]
+    Options(#[from] OptionsError),
+    /// The form is right, the content cannot be used.
+    #[error("{detail}")]
+    Input { detail: String, part: String, frame: Option<u32>, expected: String },
+    #[error("{detail}")]
+    TooLarge { detail: String, part: Option<String>, limit_bytes: u64 },
+    #[error("the job is {}: it cannot be {wish}", state.name())]
+    Conflict { state: State, wish: &'static str },
+    #[error("the file has {size} bytes")]
+    Range { size: u64 },
+    #[error("{0}")]
+    Busy(String),
+    #[error("the disk is full")]
+    DiskFull,
+    /// Ours; the cause is logged and not told.
+    #[error("something went wrong inside the server")]
+    Internal(#[source] anyhow::Error),
+}
+
+/// Seconds after which a client may ask again when the server was busy.
+const RETRY_AFTER_SECS: u32 = 5;
+
+impl ApiError {
+    pub fn malformed(detail: impl Into<String>) -> Self {
+        ApiError::Malformed { detail: detail.into(), part: None, expected: None }
+    }
+
+    pub fn internal(error: impl Into<anyhow::Error>) -> Self {
+        ApiError::Internal(error.into())
+    }
+
+    fn kind(&self) -> (StatusCode, &'static str, &'static str) {
+        match self {
+            ApiError::UnknownPath(_) => (StatusCode::NOT_FOUND, "unknown-path", "There is nothing here"),
+            ApiError::MethodNotAllowed(_) => {
+                (StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", "This method is not possible here")
+            }
+            ApiError::Unknown { .. } => (StatusCode::NOT_FOUND, "not-found", "There is no such thing"),
+            ApiError::Malformed { .. } => (StatusCode::BAD_REQUEST, "malformed-request", "The request is malformed"),
+            ApiError::MediaType(_) => {
+                (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", "The content type is not the right one")
+            }
+            ApiError::Options(_) => (StatusCode::BAD_REQUEST, "invalid-options", "The options cannot be followed"),
+            ApiError::Input { .. } => (StatusCode::UNPROCESSABLE_ENTITY, "invalid-input", "The input cannot be used"),
+            ApiError::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "too-large", "The request is too large"),
+            ApiError::Conflict { .. } => (StatusCode::CONFLICT, "conflict", "The job's state does not allow this"),
+            ApiError::Range { .. } => {
+                (StatusCode::RANGE_NOT_SATISFIABLE, "range-not-satisfiable", "The range is outside the file")
+            }
+            ApiError::Busy(_) => (StatusCode::SERVICE_UNAVAILABLE, "busy", "The server cannot do this now"),
+            ApiError::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk-full", "The server's disk is full"),
+            ApiError::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed"),
+        }
+    }
+
+    fn problem(&self) -> (StatusCode, Problem) {
+        let (status, slug, title) = self.kind();
+        let mut problem = Problem {
+            kind: format!("urn:effigy:problem:{slug}"),
+            title: title.into(),
+            status: status.as_u16(),
+            detail: self.to_string(),
+            part: None,
+            frame: None,
+            expected: None,
+        };
+        match self {
+            ApiError::Malformed { part, expected, .. } => {
+                problem.part = part.clone();
+                problem.expected = expected.clone();
+            }
+            ApiError::Options(error) => {
+                problem.part = Some(match &error.field {
+                    Some(field) => format!("options.{field}"),
+                    None => "options".into(),
+                });
+                problem.expected = error.expected.clone();
+            }
+            ApiError::Input { part, frame, expected, .. } => {
+                problem.part = Some(part.clone());
+                problem.frame = *frame;
+                problem.expected = Some(expected.clone());
+            }
+            ApiError::TooLarge { part, limit_bytes, .. } => {
+                problem.part = part.clone();
+                problem.expected = Some(format!("at most {limit_bytes} bytes"));
+            }
+            _ => {}
+        }
+        (status, problem)
+    }
+}
+
+impl IntoResponse for ApiError {
+    fn into_response(self) -> Response {
+        if let ApiError::Internal(error) = &self {
+            tracing::error!("{error:#}");
+        }
+        let (status, problem) = self.problem();
+        let mut response = (status, Json(problem)).into_response();
+        let headers = response.headers_mut();
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
+        match self {
+            ApiError::Busy(_) => {
+                headers.insert(header::RETRY_AFTER, RETRY_AFTER_SECS.into());
+            }
+            ApiError::Range { size } => {
+                if let Ok(value) = HeaderValue::try_from(format!("bytes */{size}")) {
+                    headers.insert(header::CONTENT_RANGE, value);
+                }
+            }
+            _ => {}
+        }
+        response
+    }
+}
+
+impl From<QueueError> for ApiError {
+    fn from(error: QueueError) -> Self {
+        match &error {
+            QueueError::Database(sqlx::Error::Database(cause)) if is_disk_full(cause.code().as_deref()) => {
+                ApiError::DiskFull
+            }
+            _ => ApiError::internal(error),
+        }
+    }
+}
+
+/// SQLITE_FULL, also in its extended forms.
+fn is_disk_full(code: Option<&str>) -> bool {
+    code.and_then(|code| code.parse::<u32>().ok()).is_some_and(|code| code & 0xff == 13)
+}
+
+impl From<std::io::Error> for ApiError {
+    fn from(error: std::io::Error) -> Self {
+        match error.kind() {
+            std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => ApiError::DiskFull,
+            _ => ApiError::internal(error),
+        }
+    }
+}
+
+impl From<RenderError> for ApiError {
+    fn from(error: RenderError) -> Self {
+        match error {
+            RenderError::Busy | RenderError::Unavailable(_) => ApiError::Busy(error.to_string()),
+            RenderError::Refused(detail) => ApiError::Input {
+                detail,
+                part: "render".into(),
+                frame: None,
+                expected: "a render of this avatar".into(),
+            },
+            RenderError::Failed(_) => ApiError::internal(error),
+        }
+    }
+}

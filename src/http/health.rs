@@ -1,0 +1,43 @@
+//! `/healthz`, `/readyz`, `/metrics`, `/openapi.yaml`: for those who run the service.
+
+use axum::extract::State;
+use axum::http::header;
+use axum::response::IntoResponse;
+
+use super::error::{ApiError, Problem};
+use super::{App, metrics, openapi};
+
+/// Is the process alive?
+#[utoipa::path(get, path = "/healthz", tag = "service",
+    responses((status = 200, description = "It is", body = String, content_type = "text/plain")))]
+pub(super) async fn healthz() -> &'static str {
+    "ok\n"
+}
+
+/// Can the service do its work?
+#[utoipa::path(get, path = "/readyz", tag = "service", responses(
+    (status = 200, description = "It can", body = String, content_type = "text/plain"),
+    (status = 503, description = "It cannot, and why", body = Problem, content_type = "application/problem+json"),
+))]
+pub(super) async fn readyz(State(app): State<App>) -> Result<&'static str, ApiError> {
+    app.queue.counts().await.map_err(|error| ApiError::Busy(error.to_string()))?;
+    match app.renderer.trouble() {
+        None => Ok("ready\n"),
+        Some(trouble) => Err(ApiError::Busy(trouble)),
+    }
+}
+
+/// Figures for Prometheus.
+#[utoipa::path(get, path = "/metrics", tag = "service",
+    responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain")))]
+pub(super) async fn figures(State(app): State<App>) -> Result<impl IntoResponse, ApiError> {
+    let text = metrics::scrape(app.queue.as_ref()).await?;
+    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], text))
+}
+
+/// This description.
+#[utoipa::path(get, path = "/openapi.yaml", tag = "service",
+    responses((status = 200, description = "OpenAPI 3.1", body = String, content_type = "application/yaml")))]
+pub(super) async fn description() -> Result<impl IntoResponse, ApiError> {
+    Ok(([(header::CONTENT_TYPE, "application/yaml")], openapi::yaml().map_err(ApiError::internal)?))
+}

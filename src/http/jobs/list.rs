@@ -1,0 +1,68 @@
+//! `GET /v1/jobs`
+
+use axum::Json;
+use axum::extract::State;
+use serde::{Deserialize, Serialize};
+use uuid::Uuid;
+
+use super::view::JobView;
+use crate::http::App;
+use crate::http::error::{ApiError, Problem};
+use crate::http::extract::ApiQuery;
+use crate::jobs::{self, ListFilter};
+
+#[derive(Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct ListQuery {
+    /// Only jobs in this state.
+    state: Option<jobs::State>,
+    /// Jobs in a page.
+    #[serde(default = "default_limit")]
+    #[param(minimum = 1, maximum = 200, default = 50)]
+    limit: u32,
+    /// `next` of the page before.
+    cursor: Option<Uuid>,
+}
+
+fn default_limit() -> u32 {
+    50
+}
+
+/// A page of the list.
+#[derive(Serialize, utoipa::ToSchema)]
+pub(super) struct JobList {
+    /// Newest first.
+    jobs: Vec<JobView>,
+    /// The cursor of the next page; null at the end.
+    next: Option<Uuid>,
+}
+
+/// List jobs, newest first.
+#[utoipa::path(
+    get, path = "/v1/jobs", tag = "jobs", params(ListQuery),
+    responses(
+        (status = 200, description = "A page of jobs", body = JobList),
+        (status = 400, description = "An unknown state, limit or cursor", body = Problem,
+            content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn list(
+    State(app): State<App>,
+    ApiQuery(query): ApiQuery<ListQuery>,
+) -> Result<Json<JobList>, ApiError> {
+    if !(1..=200).contains(&query.limit) {
+        return Err(ApiError::Malformed {
+            detail: format!("limit is {}", query.limit),
+            part: Some("limit".into()),
+            expected: Some("1 to 200".into()),
+        });
+    }
+    // One more than asked for tells whether there is a next page.
+    let filter = ListFilter { state: query.state, before: query.cursor, limit: query.limit + 1 };
+    let mut jobs = app.queue.list(filter).await?;
+    let more = jobs.len() > query.limit as usize;
+    jobs.truncate(query.limit as usize);
+    let next = jobs.last().filter(|_| more).map(|job| job.id);
+    Ok(Json(JobList { jobs: jobs.into_iter().map(JobView::from).collect(), next }))
+}

@@ -1,0 +1,140 @@
+//! The multipart body, streamed to the disk part by part: memory holds one chunk, whatever the size.
+
+use std::collections::BTreeMap;
+
+use axum::extract::Multipart;
+use axum::extract::multipart::{Field, MultipartError};
+
+use crate::http::app::{Limits, UploadedFiles};
+use crate::http::error::ApiError;
+use crate::jobs::{JobOptions, Part};
+use crate::storage::{Store, Upload};
+
+/// The parts of an upload.
+#[derive(utoipa::ToSchema)]
+#[expect(dead_code, reason = "describes the form for the API's document; the parts themselves never meet in memory")]
+pub(super) struct UploadForm {
+    /// The clip: any container and codec that FFmpeg reads, or a zip of images in the order of their names.
+    #[schema(value_type = String, format = Binary)]
+    video: Vec<u8>,
+    /// Who is the person: a video or a zip of PNG or JPEG, one for each frame; 128 and above is foreground.
+    #[schema(value_type = String, format = Binary)]
+    masks: Vec<u8>,
+    /// 2D keypoints: `{"format": "coco17", "frames": [[[x, y, confidence] × 17] × N]}` (confidence 0 = not seen), or a
+    /// zip of OpenPose's JSON files, one for each frame.
+    #[schema(value_type = String, format = Binary)]
+    keypoints: Vec<u8>,
+    /// `{width, height, fx, fy, cx, cy}` in pixels, pixel centres at half integers, with optional distortion
+    /// `k1 k2 p1 p2 k3`. Without it the focal length is estimated.
+    #[schema(value_type = Option<String>, format = Binary)]
+    camera: Option<Vec<u8>>,
+    /// Known poses (npz): `poses [N,72]`, `trans [N,3]` or `pelvis [N,3]`, optional `betas`.
+    #[schema(value_type = Option<String>, format = Binary)]
+    poses: Option<Vec<u8>>,
+    /// JSON.
+    options: Option<JobOptions>,
+}
+
+/// A part and the most it may hold. The large ones share the limit of the whole upload.
+struct Kind {
+    name: &'static str,
+    required: bool,
+    limit_bytes: u64,
+}
+
+const KINDS: [Kind; 5] = [
+    Kind { name: "video", required: true, limit_bytes: u64::MAX },
+    Kind { name: "masks", required: true, limit_bytes: u64::MAX },
+    Kind { name: "keypoints", required: true, limit_bytes: 256 << 20 },
+    Kind { name: "camera", required: false, limit_bytes: 1 << 20 },
+    Kind { name: "poses", required: false, limit_bytes: 256 << 20 },
+];
+const OPTIONS: &str = "options";
+const OPTIONS_LIMIT_BYTES: u64 = 64 << 10;
+const EXPECTED_PARTS: &str = "video, masks and keypoints; if wished camera, poses and options; each once";
+
+/// An upload on the disk.
+pub(super) struct Received {
+    pub upload: Upload,
+    pub inputs: BTreeMap<String, Part>,
+    pub options: JobOptions,
+}
+
+impl Received {
+    pub fn files(&self) -> UploadedFiles {
+        let optional = |part: &str| self.inputs.contains_key(part).then(|| self.upload.path(part));
+        UploadedFiles {
+            video: self.upload.path("video"),
+            masks: self.upload.path("masks"),
+            keypoints: self.upload.path("keypoints"),
+            camera: optional("camera"),
+            poses: optional("poses"),
+        }
+    }
+}
+
+pub(super) async fn receive(mut form: Multipart, store: &Store, limits: &Limits) -> Result<Received, ApiError> {
+    let upload = store.begin_upload()?;
+    let mut inputs = BTreeMap::new();
+    let mut options = None;
+    let mut left = limits.upload_bytes;
+    while let Some(field) = form.next_field().await.map_err(form_error)? {
+        let name = field.name().unwrap_or("").to_string();
+        if inputs.contains_key(&name) || (name == OPTIONS && options.is_some()) {
+            return Err(wrong_part(format!("the part {name:?} came twice"), &name));
+        }
+        if name == OPTIONS {
+            let json = read_small(field, OPTIONS_LIMIT_BYTES.min(left)).await?;
+            left -= json.len() as u64;
+            options = Some(JobOptions::parse(&json)?);
+            continue;
+        }
+        let Some(kind) = KINDS.iter().find(|kind| kind.name == name) else {
+            return Err(wrong_part(format!("there is no part {name:?}"), &name));
+        };
+        let bytes = write_part(field, &upload, kind, left).await?;
+        left -= bytes;
+        inputs.insert(name, Part { bytes });
+    }
+    if let Some(missing) = KINDS.iter().find(|kind| kind.required && !inputs.contains_key(kind.name)) {
+        return Err(wrong_part(format!("the part {:?} is missing", missing.name), missing.name));
+    }
+    Ok(Received { upload, inputs, options: options.unwrap_or_default() })
+}
+
+async fn write_part(mut field: Field<'_>, upload: &Upload, kind: &Kind, left: u64) -> Result<u64, ApiError> {
+    let limit_bytes = kind.limit_bytes.min(left);
+    let mut file = upload.part(kind.name).await?;
+    while let Some(chunk) = field.chunk().await.map_err(form_error)? {
+        if file.bytes() + chunk.len() as u64 > limit_bytes {
+            return Err(too_large(kind.name, limit_bytes));
+        }
+        file.write(&chunk).await?;
+    }
+    Ok(file.finish().await?)
+}
+
+async fn read_small(mut field: Field<'_>, limit_bytes: u64) -> Result<Vec<u8>, ApiError> {
+    let mut content = Vec::new();
+    while let Some(chunk) = field.chunk().await.map_err(form_error)? {
+        if (content.len() + chunk.len()) as u64 > limit_bytes {
+            return Err(too_large(OPTIONS, limit_bytes));
+        }
+        content.extend_from_slice(&chunk);
+    }
+    Ok(content)
+}
+
+fn too_large(part: &str, limit_bytes: u64) -> ApiError {
+    ApiError::TooLarge { detail: format!("the part {part:?} is too large"), part: Some(part.into()), limit_bytes }
+}
+
+fn wrong_part(detail: String, part: &str) -> ApiError {
+    ApiError::Malformed { detail, part: Some(part.into()), expected: Some(EXPECTED_PARTS.into()) }
+}
+
+/// The body ended early or is no multipart.
+fn form_error(error: MultipartError) -> ApiError {
+    let expected = Some("a complete multipart/form-data body".into());
+    ApiError::Malformed { detail: error.body_text(), part: None, expected }
+}

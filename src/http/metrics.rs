@@ -1,0 +1,76 @@
+//! Figures for Prometheus. Requests are counted as they pass; jobs are counted in the database when asked for, so that
+//! they are right whichever process worked on them.
+
+use std::sync::OnceLock;
+use std::time::Instant;
+
+use axum::extract::{MatchedPath, Request};
+use axum::middleware::Next;
+use axum::response::Response;
+use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
+
+use crate::jobs::{Queue, QueueError, State};
+
+/// Seconds.
+const BUCKETS: [f64; 9] = [0.001, 0.005, 0.02, 0.05, 0.1, 0.5, 2.0, 10.0, 60.0];
+
+/// The recorder is the process's, so it is made once.
+fn recorder() -> Option<&'static PrometheusHandle> {
+    static HANDLE: OnceLock<Option<PrometheusHandle>> = OnceLock::new();
+    let handle = HANDLE.get_or_init(|| {
+        let built = PrometheusBuilder::new().set_buckets(&BUCKETS).and_then(PrometheusBuilder::install_recorder);
+        match built {
+            Ok(handle) => {
+                describe();
+                Some(handle)
+            }
+            Err(error) => {
+                tracing::error!(%error, "there will be no figures");
+                None
+            }
+        }
+    });
+    handle.as_ref()
+}
+
+fn describe() {
+    describe_gauge!("effigy_jobs", "Jobs in each state");
+    describe_gauge!("effigy_queue_depth", "Jobs that wait for a worker");
+    describe_counter!("effigy_stage_jobs_total", "Jobs that went through a stage");
+    describe_gauge!("effigy_stage_seconds_total", "Seconds that jobs spent in a stage");
+    describe_counter!("effigy_http_requests_total", "Answered requests");
+    describe_histogram!("effigy_http_request_seconds", "Time from a request to the head of its answer");
+}
+
+pub(super) fn install() {
+    recorder();
+}
+
+/// Middleware: counts an answer under the route's pattern, never under the client's path.
+pub(super) async fn count(request: Request, next: Next) -> Response {
+    let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str).to_string();
+    let method = request.method().as_str().to_string();
+    let start = Instant::now();
+    let response = next.run(request).await;
+    histogram!("effigy_http_request_seconds", "method" => method.clone(), "route" => route.clone())
+        .record(start.elapsed().as_secs_f64());
+    let status = response.status().as_u16().to_string();
+    counter!("effigy_http_requests_total", "method" => method, "route" => route, "status" => status).increment(1);
+    response
+}
+
+/// The text of all figures, those of the jobs freshly counted.
+pub(super) async fn scrape(queue: &dyn Queue) -> Result<String, QueueError> {
+    for (state, jobs) in queue.counts().await? {
+        gauge!("effigy_jobs", "state" => state.name()).set(jobs as f64);
+        if state == State::Queued {
+            gauge!("effigy_queue_depth").set(jobs as f64);
+        }
+    }
+    for time in queue.stage_times().await? {
+        counter!("effigy_stage_jobs_total", "stage" => time.stage.clone()).absolute(time.jobs);
+        gauge!("effigy_stage_seconds_total", "stage" => time.stage).set(time.secs);
+    }
+    Ok(recorder().map(PrometheusHandle::render).unwrap_or_default())
+}

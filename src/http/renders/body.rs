@@ -1,0 +1,203 @@
+//! What a client may ask of a render, and the checks before a worker sees it.
+
+use serde::Deserialize;
+
+use crate::camera::Camera;
+use crate::http::avatars::check_frame;
+use crate::http::error::ApiError;
+use crate::jobs::Avatar;
+use crate::jobs::render::{Background, ImageRequest, Light, Place, PoseSource};
+
+const POSE_VALUES: usize = 72;
+const MAX_BETAS: usize = 300;
+/// Of a picture.
+const MAX_SIDE_PX: u32 = 4096;
+/// Rotations further away than this from a full turn are a mistake of units.
+const MAX_ANGLE: f64 = 100.0;
+/// Metres and pixels beyond this are no picture of a person.
+const MAX_COORDINATE: f64 = 1e6;
+
+/// A picture of an avatar. Either `pose` or `frame`.
+#[derive(Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({ "frame": 0, "background": "#ffffff" }))]
+pub(in crate::http) struct RenderBody {
+    /// 72 numbers: axis-angle of the 24 joints in SMPL's order; joint 0 is the global orientation.
+    #[schema(min_items = 72, max_items = 72)]
+    pub pose: Option<Vec<f64>>,
+    /// A fitted frame, from 0: its pose and place.
+    pub frame: Option<u32>,
+    /// With `pose`: metres, added after skinning.
+    pub translation: Option<[f64; 3]>,
+    /// With `pose`: where the pelvis is, metres; wins over `translation`. With neither, as in the first fitted frame.
+    pub pelvis: Option<[f64; 3]>,
+    /// Another shape than the fitted one.
+    pub betas: Option<Vec<f64>>,
+    /// Absent: the capture's.
+    pub camera: Option<CameraBody>,
+    #[serde(default)]
+    #[schema(default = "captured", inline)]
+    pub light: Light,
+    /// `transparent` or `#rrggbb`.
+    #[serde(default = "transparent")]
+    #[schema(default = "transparent", pattern = "^(transparent|#[0-9a-fA-F]{6})$")]
+    pub background: String,
+    #[serde(default)]
+    #[schema(inline)]
+    pub format: Format,
+}
+
+fn transparent() -> String {
+    "transparent".into()
+}
+
+#[derive(Clone, Copy, Debug, Default, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub(in crate::http) enum Format {
+    #[default]
+    Png,
+}
+
+/// A pinhole camera in OpenCV's axes: x right, y down, z forward; pixel centres at half integers.
+#[derive(Deserialize, utoipa::ToSchema)]
+pub(in crate::http) struct CameraBody {
+    /// Pixels of the picture.
+    #[schema(minimum = 1, maximum = 4096)]
+    pub width: u64,
+    #[schema(minimum = 1, maximum = 4096)]
+    pub height: u64,
+    pub fx: f64,
+    pub fy: f64,
+    pub cx: f64,
+    pub cy: f64,
+    /// 3×3, as three rows or as nine numbers row by row: `x_cam = R·x_world + t`.
+    #[schema(value_type = Option<Vec<f64>>)]
+    pub rotation: Option<Rotation>,
+    pub translation: Option<[f64; 3]>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(untagged)]
+pub(in crate::http) enum Rotation {
+    Rows([[f64; 3]; 3]),
+    Flat([f64; 9]),
+}
+
+fn wrong(part: &str, detail: impl Into<String>, expected: impl Into<String>) -> ApiError {
+    ApiError::Input { detail: detail.into(), part: part.into(), frame: None, expected: expected.into() }
+}
+
+fn check_numbers(part: &str, values: &[f64], most: f64) -> Result<(), ApiError> {
+    match values.iter().position(|v| !v.is_finite() || v.abs() > most) {
+        None => Ok(()),
+        Some(i) => Err(wrong(part, format!("{part}[{i}] is {}", values[i]), format!("finite numbers up to {most}"))),
+    }
+}
+
+impl RenderBody {
+    pub fn check(self, avatar: &Avatar) -> Result<ImageRequest, ApiError> {
+        let pose = self.pose_source(avatar)?;
+        if let Some(betas) = &self.betas {
+            if betas.len() > MAX_BETAS {
+                let expected = format!("at most {MAX_BETAS} numbers");
+                return Err(wrong("betas", format!("there are {} betas", betas.len()), expected));
+            }
+            check_numbers("betas", betas, 100.0)?;
+        }
+        let Format::Png = self.format;
+        Ok(ImageRequest {
+            pose,
+            betas: self.betas.map(|betas| betas.iter().map(|&b| b as f32).collect()),
+            camera: self.camera.map_or_else(|| Ok(avatar.camera.clone()), CameraBody::check)?,
+            light: self.light,
+            background: background(&self.background)?,
+        })
+    }
+
+    fn pose_source(&self, avatar: &Avatar) -> Result<PoseSource, ApiError> {
+        let given = match (&self.pose, self.frame) {
+            (Some(pose), None) => pose,
+            (None, Some(frame)) => {
+                if self.translation.is_some() || self.pelvis.is_some() {
+                    return Err(wrong("frame", "a frame brings its own place", "translation or pelvis only with pose"));
+                }
+                check_frame(avatar, frame)?;
+                return Ok(PoseSource::Frame(frame));
+            }
+            _ => return Err(wrong("pose", "a render needs a pose or a frame", "either pose or frame")),
+        };
+        if given.len() != POSE_VALUES {
+            let expected = format!("{POSE_VALUES} numbers: axis-angle of 24 joints");
+            return Err(wrong("pose", format!("the pose has {} numbers", given.len()), expected));
+        }
+        check_numbers("pose", given, MAX_ANGLE)?;
+        let point = |part: &str, p: [f64; 3]| check_numbers(part, &p, MAX_COORDINATE).map(|()| p.map(|v| v as f32));
+        let place = match (self.pelvis, self.translation) {
+            (Some(p), _) => Some(Place::Pelvis(point("pelvis", p)?)),
+            (None, Some(t)) => Some(Place::Translation(point("translation", t)?)),
+            (None, None) => None,
+        };
+        Ok(PoseSource::Given { pose: given.iter().map(|&v| v as f32).collect(), place })
+    }
+}
+
+fn background(text: &str) -> Result<Background, ApiError> {
+    if text == "transparent" {
+        return Ok(Background::Transparent);
+    }
+    let hex = text.strip_prefix('#').filter(|hex| hex.len() == 6 && hex.bytes().all(|b| b.is_ascii_hexdigit()));
+    let value = hex.and_then(|hex| u32::from_str_radix(hex, 16).ok());
+    let value =
+        value.ok_or_else(|| wrong("background", format!("background is {text:?}"), "transparent or #rrggbb"))?;
+    let [_, r, g, b] = value.to_be_bytes();
+    Ok(Background::Colour([r, g, b]))
+}
+
+impl CameraBody {
+    fn check(self) -> Result<Camera, ApiError> {
+        for (name, side) in [("camera.width", self.width), ("camera.height", self.height)] {
+            if !(1..=u64::from(MAX_SIDE_PX)).contains(&side) {
+                return Err(wrong(name, format!("{name} is {side}"), format!("1 to {MAX_SIDE_PX}")));
+            }
+        }
+        for (name, focal) in [("camera.fx", self.fx), ("camera.fy", self.fy)] {
+            if !(focal.is_finite() && focal > 0.0 && focal <= MAX_COORDINATE) {
+                return Err(wrong(name, format!("{name} is {focal}"), "a focal length above 0, in pixels"));
+            }
+        }
+        check_numbers("camera.cx", &[self.cx], MAX_COORDINATE)?;
+        check_numbers("camera.cy", &[self.cy], MAX_COORDINATE)?;
+        let translation = self.translation.unwrap_or_default();
+        check_numbers("camera.translation", &translation, MAX_COORDINATE)?;
+        let rotation = match self.rotation {
+            None => [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            Some(Rotation::Flat(flat)) => flat,
+            Some(Rotation::Rows(rows)) => std::array::from_fn(|i| rows[i / 3][i % 3]),
+        };
+        if !is_rotation(&rotation) {
+            return Err(wrong("camera.rotation", "the rows are not those of a rotation", "an orthonormal 3×3 matrix"));
+        }
+        Ok(Camera {
+            width: self.width as u32,
+            height: self.height as u32,
+            fx: self.fx,
+            fy: self.fy,
+            cx: self.cx,
+            cy: self.cy,
+            distortion: [0.0; 5],
+            rotation,
+            translation,
+        })
+    }
+}
+
+/// `R Rᵀ = 1` and `det R = 1`, to the precision of numbers that were written as text.
+fn is_rotation(r: &[f64; 9]) -> bool {
+    let row = |i: usize| [r[3 * i], r[3 * i + 1], r[3 * i + 2]];
+    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    let off = (0..3).flat_map(|i| (0..3).map(move |j| (i, j)));
+    let unit = |(i, j): (usize, usize)| (dot(row(i), row(j)) - f64::from(i == j)).abs() < 1e-3;
+    r.iter().all(|v| v.is_finite()) && off.into_iter().all(unit) && dot(row(0), cross(row(1), row(2))) > 0.0
+}

@@ -1,0 +1,54 @@
+//! `POST /v1/avatars/{id}/renders`
+
+mod body;
+#[cfg(test)]
+mod tests;
+
+use axum::extract::{Path, State};
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+
+use super::App;
+use super::avatars::{find, model};
+use super::error::{ApiError, Problem};
+use super::extract::ApiJson;
+use crate::jobs::render::{RenderRequest, What};
+use body::RenderBody;
+
+/// Draw an avatar.
+///
+/// In a pose of one's own or as in a frame of the clip, seen by a camera of one's own or by the clip's.
+#[utoipa::path(
+    post, path = "/v1/avatars/{id}/renders", tag = "avatars", params(("id" = String, Path, description = "The avatar's id")),
+    request_body = RenderBody,
+    responses(
+        (status = 200, description = "The picture, at the camera's size", body = String, content_type = "image/png"),
+        (status = 400, description = "No JSON, or an unknown field", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 404, description = "No such avatar", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "A value that cannot be drawn", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 503, description = "No worker is free; try again", body = Problem,
+            content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn render(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    ApiJson(body): ApiJson<RenderBody>,
+) -> Result<Response, ApiError> {
+    let avatar = find(&app, &id).await?;
+    let image = body.check(&avatar)?;
+    let png = answer(&app, RenderRequest { model: model(&app, &avatar), what: What::Image(image) }).await?;
+    Ok(([(header::CONTENT_TYPE, "image/png")], png).into_response())
+}
+
+/// Has something made by a worker and takes the file that it left.
+pub(super) async fn answer(app: &App, request: RenderRequest) -> Result<Vec<u8>, ApiError> {
+    let path = app.renderer.render(request).await?;
+    let content = tokio::fs::read(&path).await;
+    if let Err(error) = tokio::fs::remove_file(&path).await {
+        tracing::warn!(path = %path.display(), %error, "a render stays until the next start");
+    }
+    Ok(content?)
+}
