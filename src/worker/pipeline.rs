@@ -1,0 +1,125 @@
+//! A job from files to files: its types, and (below) its run.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crate::camera::Camera;
+use crate::capture::{CaptureError, CaptureInputs};
+use crate::gpu::{Gpu, GpuError};
+use crate::jobs::JobOptions;
+
+/// The files of a clip and what is asked of its fit.
+#[derive(Clone, Debug)]
+pub struct PipelineInput {
+    pub video: PathBuf,
+    pub masks: PathBuf,
+    pub keypoints: PathBuf,
+    pub camera: Option<PathBuf>,
+    pub poses: Option<PathBuf>,
+    pub options: JobOptions,
+}
+
+impl PipelineInput {
+    /// The clip's files, without the options.
+    pub fn capture_inputs(&self) -> CaptureInputs {
+        CaptureInputs {
+            video: self.video.clone(),
+            masks: self.masks.clone(),
+            keypoints: self.keypoints.clone(),
+            camera: self.camera.clone(),
+            poses: self.poses.clone(),
+        }
+    }
+}
+
+/// The stages of a job, in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Stage {
+    /// The clip is read into memory.
+    Decode,
+    /// Stage 0: pose, shape and place.
+    Pose,
+    /// Stage 1: geometry and face colours.
+    Geometry,
+    /// Stage 2: the texture field.
+    Texture,
+    /// The texture's atlas.
+    Bake,
+    /// The files.
+    Export,
+}
+
+impl Stage {
+    pub fn name(self) -> &'static str {
+        match self {
+            Stage::Decode => "decode",
+            Stage::Pose => "pose",
+            Stage::Geometry => "geometry",
+            Stage::Texture => "texture",
+            Stage::Bake => "bake",
+            Stage::Export => "export",
+        }
+    }
+}
+
+/// Where a run stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Progress {
+    pub stage: Stage,
+    /// Done steps of the stage.
+    pub step: u32,
+    pub steps: u32,
+    /// Of the whole job, 0 to 1.
+    pub progress: f32,
+    pub eta_secs: Option<f64>,
+    /// The last value of each loss.
+    pub losses: BTreeMap<String, f64>,
+}
+
+/// Why a run shall stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopReason {
+    /// A user wishes it.
+    Cancel,
+    /// Somebody else has the job.
+    LostLease,
+    /// The process ends; another goes on from the checkpoint.
+    Shutdown,
+}
+
+/// Who started a run, as the run sees it. All calls come from the run's own thread and return quickly.
+pub trait Observer {
+    fn progress(&mut self, progress: &Progress);
+
+    /// Asked between iterations; `Some` means: write a checkpoint and return [`PipelineError::Stopped`].
+    fn stop(&mut self) -> Option<StopReason>;
+
+    /// Called between iterations with the device at rest, so that others' renders need not wait for the end.
+    fn idle(&mut self, gpu: &Arc<Gpu>);
+}
+
+/// What a run made; the files lie in its output folder.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Fitted frames.
+    pub frames: u32,
+    /// Of the fitted images.
+    pub camera: Camera,
+    pub metrics: serde_json::Value,
+}
+
+/// Why there is no avatar.
+#[derive(Debug, thiserror::Error)]
+pub enum PipelineError {
+    #[error("stopped: {0:?}")]
+    Stopped(StopReason),
+    #[error(transparent)]
+    BadInput(#[from] CaptureError),
+    #[error("the fit diverged: {detail}")]
+    Diverged { detail: String, losses: BTreeMap<String, f64> },
+    #[error(transparent)]
+    Device(#[from] GpuError),
+    #[error("{0:#}")]
+    Internal(#[from] anyhow::Error),
+}
