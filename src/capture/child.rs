@@ -11,11 +11,13 @@ use std::time::Instant;
 use super::CaptureError;
 use super::limits::CHILD_MEMORY_BYTES;
 
+/// The standard output of a [`Tool`].
+pub(super) type Output = BufReader<ChildStdout>;
+
 /// A running `ffmpeg` or `ffprobe`. Dropping it kills the process.
 pub(super) struct Tool {
     name: &'static str,
     child: Arc<Mutex<Child>>,
-    pub stdout: BufReader<ChildStdout>,
     stderr: Option<JoinHandle<Vec<String>>>,
     timed_out: Arc<AtomicBool>,
     /// Closed when the process is done, which ends the watchdog.
@@ -39,8 +41,8 @@ impl Outcome {
 }
 
 impl Tool {
-    /// Starts `name` (found in `PATH`). It is killed at `deadline`.
-    pub fn start(name: &'static str, arguments: &[&str], deadline: Instant) -> Result<Self, CaptureError> {
+    /// Starts `name` (found in `PATH`) and returns its standard output beside it. It is killed at `deadline`.
+    pub fn start(name: &'static str, arguments: &[&str], deadline: Instant) -> Result<(Self, Output), CaptureError> {
         let mut command = Command::new(name);
         command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command.env("AV_LOG_FORCE_NOCOLOR", "1").env_remove("FFREPORT");
@@ -61,31 +63,20 @@ impl Tool {
                 let _ = watched.lock().unwrap_or_else(PoisonError::into_inner).kill();
             }
         });
-        Ok(Self {
-            name,
-            child,
-            stdout: BufReader::with_capacity(1 << 16, stdout),
-            stderr: Some(std::thread::spawn(move || read_messages(stderr))),
-            timed_out,
-            watchdog: Some((stop, watchdog)),
-        })
+        let stderr = Some(std::thread::spawn(move || read_messages(stderr)));
+        let tool = Self { name, child, stderr, timed_out, watchdog: Some((stop, watchdog)) };
+        Ok((tool, BufReader::with_capacity(1 << 16, stdout)))
     }
 
     /// Waits for the end of a process whose output has been read as far as it is wanted.
-    pub fn finish(mut self) -> Result<Outcome, CaptureError> {
+    pub fn finish(mut self, output: Output) -> Result<Outcome, CaptureError> {
+        // A process that still writes gets a broken pipe rather than waiting for a reader.
+        drop(output);
         // Standard error closes when the process ends, so that the lock below is not held while it still runs.
         let messages = self.stderr.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
         let status = self.child.lock().unwrap_or_else(PoisonError::into_inner).wait();
         let status = status.map_err(|e| CaptureError::internal(format!("`{}`", self.name), e))?;
         Ok(Outcome { success: status.success(), timed_out: self.timed_out.load(Ordering::Relaxed), messages })
-    }
-
-    /// Reads the whole output, at most `limit` bytes of it.
-    pub fn read_to_end(&mut self, limit: u64) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        // A broken pipe shows as a failed process.
-        let _ = self.stdout.by_ref().take(limit).read_to_end(&mut bytes);
-        bytes
     }
 }
 
@@ -175,10 +166,18 @@ mod tests {
     #[test]
     fn a_process_that_does_not_end_is_killed_at_its_deadline() {
         let endless = ["-v", "error", "-f", "lavfi", "-i", "testsrc=size=16x16", "-f", "rawvideo", "pipe:1"];
-        let mut tool = Tool::start("ffmpeg", &endless, Instant::now() + Duration::from_millis(300)).unwrap();
-        std::io::copy(&mut tool.stdout, &mut std::io::sink()).unwrap();
-        let outcome = tool.finish().unwrap();
+        let deadline = Instant::now() + Duration::from_millis(300);
+        let (tool, mut output) = Tool::start("ffmpeg", &endless, deadline).unwrap();
+        std::io::copy(&mut output, &mut std::io::sink()).unwrap();
+        let outcome = tool.finish(output).unwrap();
         assert!(outcome.timed_out && !outcome.success);
+    }
+
+    #[test]
+    fn a_process_that_is_not_read_to_its_end_is_not_waited_for() {
+        let endless = ["-v", "quiet", "-f", "lavfi", "-i", "testsrc=size=640x480", "-f", "rawvideo", "pipe:1"];
+        let (tool, output) = Tool::start("ffmpeg", &endless, Instant::now() + Duration::from_secs(600)).unwrap();
+        assert!(!tool.finish(output).unwrap().timed_out);
     }
 
     #[test]

@@ -35,7 +35,7 @@ pub struct CaptureOptions {
 }
 
 /// What a clip holds, found without keeping any picture.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize)]
 pub struct Inspection {
     pub frames: u32,
     /// Of the video after its rotation tag, pixels.

@@ -11,6 +11,7 @@ mod clip;
 mod error;
 mod images;
 mod keypoints;
+mod lens;
 mod limits;
 mod openpose;
 mod poses;

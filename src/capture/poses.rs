@@ -9,6 +9,9 @@ use crate::npz::{Array, Npz};
 
 const EXPECTED: &str = "an npz with `poses` [N, 72] and `trans` or `pelvis` [N, 3], and optional `betas`";
 
+/// Poses in degrees and places in millimetres show as numbers that no body reaches.
+const MOST: f64 = 1000.0;
+
 /// Poses of all frames, and what was odd about them.
 pub(super) fn read(path: &Path) -> Result<(KnownPoses, Vec<String>), CaptureError> {
     let open = |e| CaptureError::internal("cannot open the poses", e);
@@ -58,10 +61,8 @@ fn parse(npz: &Npz) -> Result<(KnownPoses, Vec<String>), BadInput> {
 }
 
 fn check_rows(name: &str, array: &Array, width: usize) -> Result<(), BadInput> {
-    // Poses in degrees and places in millimetres show as numbers that no body reaches.
-    const MOST: f64 = 1000.0;
     for (i, value) in array.data.iter().enumerate() {
-        if !(value.abs() <= MOST) {
+        if !value.is_finite() || value.abs() > MOST {
             let message = format!("`{name}` holds {value}");
             return Err(bad(message, "finite radians and metres").at(i / width));
         }
@@ -75,8 +76,8 @@ fn betas(array: &Array) -> Result<Vec<f32>, BadInput> {
     if !(1..=2).contains(&array.shape.len()) || width == 0 || width > 400 || array.data.is_empty() {
         return Err(bad(format!("`betas` has shape {:?}", array.shape), "[B] with at most 400 numbers"));
     }
-    if array.data.iter().any(|value| !(value.abs() <= 1000.0)) {
-        return Err(bad("`betas` holds a number that is not finite", "finite numbers"));
+    if array.data.iter().any(|value| !value.is_finite() || value.abs() > MOST) {
+        return Err(bad("`betas` holds a number that is not finite or far too large", "shape coefficients"));
     }
     let rows = array.data.len() / width;
     let mean = |k| (0..rows).map(|i| array.data[i * width + k]).sum::<f64>() / rows as f64;

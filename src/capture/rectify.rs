@@ -1,7 +1,7 @@
 //! From the uploaded images to those of the capture: lens distortion removed, scaled down, cropped.
 
 use super::BadInput;
-use super::Part;
+use super::lens::{distort, undistort, valid_radius};
 use super::source::Picture;
 use crate::camera::Camera;
 
@@ -41,11 +41,10 @@ pub(super) struct Rectify {
     uploaded: Camera,
     /// Of the rectified images: no distortion.
     pub camera: Camera,
-    /// Samples a rectified pixel takes along each side.
-    samples: u32,
     /// Normalised radius up to which distortion keeps the order of points.
     valid_radius: f64,
     distorted: bool,
+    scaled: bool,
 }
 
 impl Rectify {
@@ -60,26 +59,26 @@ impl Rectify {
         (camera.fy, camera.cy) = (uploaded.fy * sy, uploaded.cy * sy);
         camera.distortion = [0.0; 5];
         let distorted = uploaded.distortion != [0.0; 5];
-        let samples = if scale == 1.0 { 1 } else { (1.0 / sx.min(sy)).ceil() as u32 + 1 };
         let valid_radius = valid_radius(&uploaded)?;
-        Ok(Self { uploaded, camera, samples, valid_radius, distorted })
+        Ok(Self { uploaded, camera, valid_radius, distorted, scaled: scale < 1.0 })
     }
 
-    /// From a rectified position to the uploaded one; `None` beyond where the distortion is meaningful.
-    fn uploaded_from_rectified(&self, x: f64, y: f64) -> Option<(f64, f64)> {
+    /// From a rectified position to the one in the scaled but still distorted image; `None` beyond where the
+    /// distortion is meaningful.
+    fn distorted_from_rectified(&self, x: f64, y: f64) -> Option<(f64, f64)> {
         let (u, v) = ((x - self.camera.cx) / self.camera.fx, (y - self.camera.cy) / self.camera.fy);
-        if self.distorted && u.hypot(v) > self.valid_radius {
+        if u.hypot(v) > self.valid_radius {
             return None;
         }
         let (u, v) = distort(&self.uploaded.distortion, u, v);
-        Some((u * self.uploaded.fx + self.uploaded.cx, v * self.uploaded.fy + self.uploaded.cy))
+        Some((u * self.camera.fx + self.camera.cx, v * self.camera.fy + self.camera.cy))
     }
 
     /// From an uploaded position to the rectified one; `None` where there is none.
     pub fn rectified_from_uploaded(&self, x: f64, y: f64) -> Option<(f64, f64)> {
         let (u, v) = ((x - self.uploaded.cx) / self.uploaded.fx, (y - self.uploaded.cy) / self.uploaded.fy);
-        let (u, v) =
-            if self.distorted { undistort(&self.uploaded.distortion, u, v, self.valid_radius)? } else { (u, v) };
+        let distortion = &self.uploaded.distortion;
+        let (u, v) = if self.distorted { undistort(distortion, u, v, self.valid_radius)? } else { (u, v) };
         Some((u * self.camera.fx + self.camera.cx, v * self.camera.fy + self.camera.cy))
     }
 
@@ -119,64 +118,52 @@ impl Rectify {
 
     /// `[height, width, 3]` of a rectangle of the rectified image. Beyond the uploaded image its border goes on.
     pub fn rgb(&self, picture: &Picture, rect: Rect) -> Vec<u8> {
-        let mut out = Vec::with_capacity(rect.width() as usize * rect.height() as usize * 3);
-        if self.samples == 1 && !self.distorted {
-            let (row, x0) = (picture.width as usize * 3, rect.x0 as usize * 3);
-            for y in rect.y0 as usize..rect.y1 as usize {
-                out.extend_from_slice(&picture.data[y * row + x0..y * row + rect.x1 as usize * 3]);
-            }
-            return out;
+        if !self.scaled && !self.distorted {
+            let row = picture.width as usize * 3;
+            let columns = rect.x0 as usize * 3..rect.x1 as usize * 3;
+            let rows = picture.data.chunks_exact(row).take(rect.y1 as usize).skip(rect.y0 as usize);
+            return rows.flat_map(|row| &row[columns.clone()]).copied().collect();
         }
-        self.each_pixel(rect, |positions| {
-            let mut sum = [0.0f32; 3];
-            let mut count = 0;
-            for (x, y) in positions.flatten() {
-                let (corners, weights) = bilinear(picture, x, y);
-                for (corner, weight) in corners.into_iter().zip(weights) {
-                    let pixel = &picture.data[3 * corner..3 * corner + 3];
-                    (0..3).for_each(|c| sum[c] += weight * f32::from(pixel[c]));
-                }
-                count += 1;
-            }
-            out.extend(sum.map(|s| (s / count.max(1) as f32).round() as u8));
-        });
-        out
+        let plain = std::array::from_fn(|value| value as f32);
+        self.resample::<3>(picture, rect, &plain, false).into_iter().map(|value| value.round() as u8).collect()
     }
 
     /// `[height, width]` of a rectangle of the rectified mask: 255 where at least half of the pixel is foreground.
     pub fn mask(&self, picture: &Picture, rect: Rect) -> Vec<u8> {
-        let mut out = Vec::with_capacity(rect.width() as usize * rect.height() as usize);
-        let (width, height) = (f64::from(picture.width), f64::from(picture.height));
-        self.each_pixel(rect, |positions| {
-            let (mut sum, mut count) = (0.0, 0);
-            for position in positions {
-                count += 1;
-                let Some((x, y)) = position else { continue };
-                if x < 0.0 || y < 0.0 || x >= width || y >= height {
-                    continue;
-                }
-                let (corners, weights) = bilinear(picture, x, y);
-                let set = |corner: usize| f32::from(u8::from(is_foreground(picture.data[corner])));
-                sum += corners.into_iter().zip(weights).map(|(corner, weight)| weight * set(corner)).sum::<f32>();
-            }
-            out.push(if sum >= 0.5 * count as f32 { 255 } else { 0 });
-        });
-        out
+        let coverage = std::array::from_fn(|value| f32::from(u8::from(is_foreground(value as u8))));
+        let covered = self.resample::<1>(picture, rect, &coverage, true);
+        covered.into_iter().map(|value| if value >= 0.5 { 255 } else { 0 }).collect()
     }
 
-    /// Calls `pixel` for each pixel of `rect`, row by row, with the uploaded positions of its samples.
-    fn each_pixel(&self, rect: Rect, mut pixel: impl FnMut(&mut dyn Iterator<Item = Option<(f64, f64)>>)) {
-        let n = self.samples;
-        let offset = |i: u32| (f64::from(i) + 0.5) / f64::from(n);
+    /// `[height, width, C]` of a rectangle: `values` of the stored bytes, averaged over each scaled pixel's area, then
+    /// taken where the lens had put them. Positions outside the image count as 0 or take the border's value.
+    fn resample<const C: usize>(
+        &self,
+        picture: &Picture,
+        rect: Rect,
+        values: &[f32; 256],
+        zero_outside: bool,
+    ) -> Vec<f32> {
+        let (width, height) = (self.camera.width, self.camera.height);
+        if !self.distorted {
+            return shrink::<C>(picture, (width, height), rect, values);
+        }
+        let whole = shrink::<C>(picture, (width, height), Rect { x0: 0, y0: 0, x1: width, y1: height }, values);
+        let mut out = Vec::with_capacity(rect.width() as usize * rect.height() as usize * C);
         for y in rect.y0..rect.y1 {
             for x in rect.x0..rect.x1 {
-                pixel(
-                    &mut (0..n * n).map(|i| {
-                        self.uploaded_from_rectified(f64::from(x) + offset(i % n), f64::from(y) + offset(i / n))
-                    }),
-                );
+                let position = self.distorted_from_rectified(f64::from(x) + 0.5, f64::from(y) + 0.5);
+                let inside = |&(x, y): &(f64, f64)| {
+                    let across = 0.0..f64::from(width);
+                    !zero_outside || (across.contains(&x) && (0.0..f64::from(height)).contains(&y))
+                };
+                match position.filter(inside) {
+                    Some((x, y)) => out.extend(bilinear::<C>(&whole, (width as usize, height as usize), x, y)),
+                    None => out.extend([0.0; C]),
+                }
             }
         }
+        out
     }
 }
 
@@ -185,76 +172,64 @@ pub(super) fn is_foreground(value: u8) -> bool {
     value >= 128
 }
 
-/// Indices of the four pixels around a position and their weights; positions outside take the border's.
-fn bilinear(picture: &Picture, x: f64, y: f64) -> ([usize; 4], [f32; 4]) {
-    let (width, height) = (picture.width as usize, picture.height as usize);
+/// A rectangle of a picture that is scaled down to `size`: the mean of `values` over the area of each new pixel.
+fn shrink<const C: usize>(picture: &Picture, size: (u32, u32), rect: Rect, values: &[f32; 256]) -> Vec<f32> {
+    let columns: Vec<Span> = (rect.x0..rect.x1).map(|x| Span::new(x, picture.width, size.0)).collect();
+    let (Some(first), Some(last)) = (columns.first(), columns.last()) else { return Vec::new() };
+    let used = first.start..last.start + last.weights.len();
+    let row_bytes = picture.width as usize * C;
+    let mut sums = vec![0.0f32; used.len() * C];
+    let mut out = Vec::with_capacity(columns.len() * rect.height() as usize * C);
+    for y in rect.y0..rect.y1 {
+        sums.fill(0.0);
+        let rows = Span::new(y, picture.height, size.1);
+        for (row, weight) in (rows.start..).zip(&rows.weights) {
+            let bytes = &picture.data[row * row_bytes + used.start * C..row * row_bytes + used.end * C];
+            sums.iter_mut().zip(bytes).for_each(|(sum, &byte)| *sum += weight * values[byte as usize]);
+        }
+        for column in &columns {
+            let mut mean = [0.0f32; C];
+            let start = (column.start - used.start) * C;
+            for (pixel, weight) in sums[start..].chunks_exact(C).zip(&column.weights) {
+                (0..C).for_each(|c| mean[c] += weight * pixel[c]);
+            }
+            out.extend(mean);
+        }
+    }
+    out
+}
+
+/// The old pixels under one new pixel along an axis, and how much of it each covers (together 1).
+struct Span {
+    start: usize,
+    weights: Vec<f32>,
+}
+
+impl Span {
+    fn new(index: u32, old: u32, new: u32) -> Self {
+        let scale = f64::from(old) / f64::from(new);
+        let (low, high) = (f64::from(index) * scale, (f64::from(index) + 1.0) * scale);
+        let start = low.floor() as usize;
+        // A sliver that only rounding has made is no pixel.
+        let end = ((high - 1e-9).ceil() as usize).min(old as usize);
+        let overlap = |i: usize| ((i as f64 + 1.0).min(high) - (i as f64).max(low)).max(0.0);
+        let total: f64 = (start..end).map(overlap).sum();
+        Self { start, weights: (start..end).map(|i| (overlap(i) / total) as f32).collect() }
+    }
+}
+
+/// `[height, width, C]` at a continuous position; positions outside take the border's value.
+fn bilinear<const C: usize>(image: &[f32], (width, height): (usize, usize), x: f64, y: f64) -> [f32; C] {
     let (x, y) = ((x - 0.5).clamp(0.0, (width - 1) as f64), (y - 0.5).clamp(0.0, (height - 1) as f64));
     let (x0, y0) = (x as usize, y as usize);
     let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
     let (fx, fy) = ((x - x0 as f64) as f32, (y - y0 as f64) as f32);
-    let corners = [y0 * width + x0, y0 * width + x1, y1 * width + x0, y1 * width + x1];
-    (corners, [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy])
-}
-
-/// OpenCV's model on normalised coordinates: with r² = u² + v², radial = 1 + k1 r² + k2 r⁴ + k3 r⁶,
-/// `u' = u·radial + 2 p1 u v + p2 (r² + 2u²)`, `v' = v·radial + p1 (r² + 2v²) + 2 p2 u v`.
-fn distort([k1, k2, p1, p2, k3]: &[f64; 5], u: f64, v: f64) -> (f64, f64) {
-    let r2 = u * u + v * v;
-    let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-    (u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u), v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v)
-}
-
-/// The inverse of [`distort`] by damped Newton steps with a numeric Jacobian.
-fn undistort(coefficients: &[f64; 5], u: f64, v: f64, valid_radius: f64) -> Option<(f64, f64)> {
-    const STEP: f64 = 1e-6;
-    let (mut x, mut y) = (u, v);
-    // Far points start on the border of where the inverse exists.
-    let radius = x.hypot(y);
-    if radius > valid_radius {
-        (x, y) = (x * valid_radius / radius, y * valid_radius / radius);
-    }
-    for _ in 0..50 {
-        let (a, b) = distort(coefficients, x, y);
-        let (eu, ev) = (a - u, b - v);
-        if eu.hypot(ev) < 1e-10 {
-            return (x.hypot(y) <= valid_radius * (1.0 + 1e-9)).then_some((x, y));
-        }
-        let (ax, bx) = distort(coefficients, x + STEP, y);
-        let (ay, by) = distort(coefficients, x, y + STEP);
-        let (jxx, jyx, jxy, jyy) = ((ax - a) / STEP, (bx - b) / STEP, (ay - a) / STEP, (by - b) / STEP);
-        let determinant = jxx * jyy - jxy * jyx;
-        if determinant.abs() < 1e-9 {
-            return None;
-        }
-        let (dx, dy) = ((jyy * eu - jxy * ev) / determinant, (jxx * ev - jyx * eu) / determinant);
-        // Steps longer than a part of the field would jump over the fold.
-        let damping = (0.25 / dx.hypot(dy)).min(1.0);
-        (x, y) = (x - damping * dx, y - damping * dy);
-    }
-    None
-}
-
-/// Up to which normalised radius the radial part grows. It must reach most of the way to the image's corners: a
-/// polynomial that turns back earlier is no calibration of these images.
-fn valid_radius(camera: &Camera) -> Result<f64, BadInput> {
-    let [k1, k2, _, _, k3] = camera.distortion;
-    let far = |centre: f64, side: u32, focal: f64| centre.abs().max((f64::from(side) - centre).abs()) / focal;
-    let corner = far(camera.cx, camera.width, camera.fx).hypot(far(camera.cy, camera.height, camera.fy));
-    let most = 2.0 * corner;
-    for i in 1..=512 {
-        let r = most * f64::from(i) / 512.0;
-        let r2 = r * r;
-        // d/dr of r (1 + k1 r² + k2 r⁴ + k3 r⁶)
-        let growth = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3));
-        if growth <= 0.05 {
-            if r < 0.7 * corner {
-                let message = "the distortion folds the image over within its borders";
-                return Err(BadInput::new(Part::Camera, message, "k1, k2, p1, p2, k3 of OpenCV's model"));
-            }
-            return Ok(r);
-        }
-    }
-    Ok(most)
+    let at = |x: usize, y: usize, c: usize| image[(y * width + x) * C + c];
+    std::array::from_fn(|c| {
+        let (top, bottom) =
+            (at(x0, y0, c) * (1.0 - fx) + at(x1, y0, c) * fx, at(x0, y1, c) * (1.0 - fx) + at(x1, y1, c) * fx);
+        top * (1.0 - fy) + bottom * fy
+    })
 }
 
 #[cfg(test)]
@@ -272,7 +247,7 @@ mod tests {
         assert_eq!((rectify.camera.width, rectify.camera.height), (320, 240));
         for (x, y) in [(0.5, 0.5), (639.0, 479.0), (320.0, 240.0), (100.0, 400.0), (-5.0, 200.0)] {
             let (a, b) = rectify.rectified_from_uploaded(x, y).unwrap();
-            let (u, v) = rectify.uploaded_from_rectified(a, b).unwrap();
+            let (u, v) = rectify.distorted_from_rectified(a, b).map(|(u, v)| (2.0 * u, 2.0 * v)).unwrap();
             assert!((u - x).abs() < 1e-6 && (v - y).abs() < 1e-6, "({x}, {y}) came back as ({u}, {v})");
         }
     }
@@ -301,9 +276,19 @@ mod tests {
         let block = |i: u32| ((i % 64) / 4 * 13 + (i / 64) / 4 * 7) as u8;
         let data: Vec<u8> = (0..64 * 32).flat_map(|i| [block(i); 3]).collect();
         let small = rectify.rgb(&Picture { width: 64, height: 32, data }, Rect { x0: 2, y0: 1, x1: 10, y1: 7 });
-        let centre = small[3 * (2 * 8 + 3)];
-        // Bilinear samples reach a little into the neighbours, evenly on all sides.
-        assert!((i32::from(centre) - (5 * 13 + 3 * 7)).abs() <= 1, "{centre}");
+        for (i, pixel) in small.chunks(3).enumerate() {
+            let (x, y) = (2 + i as u8 % 8, 1 + i as u8 / 8);
+            assert_eq!(pixel, [x * 13 + y * 7; 3], "({x}, {y})");
+        }
+    }
+
+    #[test]
+    fn an_uneven_scale_weighs_pixels_by_their_area() {
+        // Three pixels become two: each takes one and a half.
+        let picture = Picture { width: 3, height: 1, data: vec![30, 60, 120] };
+        let plain = std::array::from_fn(|value| value as f32);
+        assert_eq!(shrink::<1>(&picture, (2, 1), Rect { x0: 0, y0: 0, x1: 2, y1: 1 }, &plain), [40.0, 100.0]);
+        assert_eq!(shrink::<1>(&picture, (2, 1), Rect { x0: 1, y0: 0, x1: 2, y1: 1 }, &plain), [100.0]);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 use std::time::Instant;
 
-use super::child::{Outcome, Tool};
+use super::child::{Outcome, Output, Tool};
 use super::limits::{self, PROBE_TIME};
 use super::source::{Picture, Pixels};
 use super::{BadInput, CaptureError, Part};
@@ -74,9 +74,7 @@ impl VideoFile {
             "json",
             &url,
         ];
-        let mut tool = Tool::start("ffprobe", &arguments, Instant::now() + PROBE_TIME)?;
-        let json = tool.read_to_end(4 << 20);
-        let outcome = tool.finish()?;
+        let (json, outcome) = run("ffprobe", &arguments, 4 << 20)?;
         let expected = "a video that FFmpeg reads, or a zip of PNG or JPEG images";
         if !outcome.success {
             return Err(BadInput::new(part, format!("this is no readable video{}", outcome.because()), expected).into());
@@ -118,15 +116,16 @@ impl VideoFile {
             "-sws_flags", "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp",
             "-c:v", codec, "-pix_fmt", format, "-f", "image2pipe", "pipe:1",
         ];
-        let tool = Tool::start("ffmpeg", &arguments, deadline)?;
-        Ok(VideoStream { part: self.part, tool: Some(tool), announced: self.announced, pixels, count: 0, damage: None })
+        let running = Some(Tool::start("ffmpeg", &arguments, deadline)?);
+        Ok(VideoStream { part: self.part, running, announced: self.announced, pixels, count: 0, damage: None })
     }
 }
 
 /// Pictures out of a running FFmpeg.
 pub(super) struct VideoStream {
     part: Part,
-    tool: Option<Tool>,
+    /// Until the stream has ended.
+    running: Option<(Tool, Output)>,
     announced: Option<u32>,
     pixels: Pixels,
     count: usize,
@@ -136,12 +135,12 @@ pub(super) struct VideoStream {
 impl VideoStream {
     /// The next picture; its pixels only where they are wanted.
     pub fn next(&mut self, want: bool) -> Result<Option<Picture>, CaptureError> {
-        let Some(tool) = &mut self.tool else { return Ok(None) };
-        let Some((width, height)) = read_header(&mut tool.stdout) else { return self.end() };
+        let Some((_, output)) = &mut self.running else { return Ok(None) };
+        let Some((width, height)) = read_header(output) else { return self.end() };
         limits::check_image_size(self.part, width, height)?;
         let bytes = width as usize * height as usize * self.pixels.channels();
         let mut data = Vec::new();
-        let mut body = tool.stdout.by_ref().take(bytes as u64);
+        let mut body = output.by_ref().take(bytes as u64);
         let read = if want {
             data.reserve_exact(bytes);
             body.read_to_end(&mut data).unwrap_or(0)
@@ -161,8 +160,8 @@ impl VideoStream {
     }
 
     fn end(&mut self) -> Result<Option<Picture>, CaptureError> {
-        let Some(tool) = self.tool.take() else { return Ok(None) };
-        let outcome = tool.finish()?;
+        let Some((tool, output)) = self.running.take() else { return Ok(None) };
+        let outcome = tool.finish(output)?;
         match self.judge(&outcome) {
             Some(bad) => Err(bad.into()),
             None => {
@@ -191,6 +190,15 @@ impl VideoStream {
         }
         None
     }
+}
+
+/// Runs a tool that answers quickly; its output, at most `limit` bytes of it.
+fn run(name: &'static str, arguments: &[&str], limit: u64) -> Result<(Vec<u8>, Outcome), CaptureError> {
+    let (tool, mut output) = Tool::start(name, arguments, Instant::now() + PROBE_TIME)?;
+    let mut bytes = Vec::new();
+    // A broken pipe shows as a failed process.
+    let _ = output.by_ref().take(limit).read_to_end(&mut bytes);
+    Ok((bytes, tool.finish(output)?))
 }
 
 /// `P6\nwidth height\n255\n`; `None` at the end of the stream.
@@ -232,9 +240,8 @@ fn passthrough_option() -> Result<&'static str, CaptureError> {
     if let Some(option) = OPTION.get() {
         return Ok(option);
     }
-    let mut tool = Tool::start("ffmpeg", &["-version"], Instant::now() + PROBE_TIME)?;
-    let text = String::from_utf8_lossy(&tool.read_to_end(1 << 16)).into_owned();
-    tool.finish()?;
+    let (text, _) = run("ffmpeg", &["-version"], 1 << 16)?;
+    let text = String::from_utf8_lossy(&text).into_owned();
     Ok(OPTION.get_or_init(|| if is_before_5_1(&text) { "-vsync" } else { "-fps_mode" }))
 }
 

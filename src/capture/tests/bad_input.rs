@@ -1,0 +1,203 @@
+//! Clips that must be refused, each with the part, the frame and the words of its refusal.
+
+use super::*;
+
+#[track_caller]
+fn assert_error(clip: &Clip, part: Part, frame: Option<u32>, message: &str) {
+    let error = clip.error();
+    assert_eq!((error.part, error.frame), (part, frame), "{error}");
+    assert!(error.message.starts_with(message), "{error}");
+    let text = error.to_string();
+    assert!(!text.contains("/tmp") && !text.contains("0x"), "{text}");
+}
+
+#[test]
+fn a_video_that_is_no_video() {
+    let clip = Clip::new();
+    for bytes in [&b""[..], b"hello, this is text", &[0; 5000]] {
+        clip.video(bytes);
+        assert_error(&clip, Part::Video, None, "this is no readable video");
+    }
+    clip.video(b"PK\x03\x04 and then nonsense");
+    assert_error(&clip, Part::Video, None, "the zip cannot be read");
+}
+
+#[test]
+fn files_that_name_other_files_are_not_followed() {
+    let clip = Clip::new();
+    let other = clip.add("other.mp4", video(&MP4)).unwrap();
+    let other = other.display();
+    for text in [
+        format!("#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:1,\nfile://{other}\n#EXT-X-ENDLIST\n"),
+        format!("ffconcat version 1.0\nfile '{other}'\n"),
+        format!(r#"<svg xmlns="http://www.w3.org/2000/svg"><image href="file://{other}"/></svg>"#),
+    ] {
+        clip.video(text.as_bytes());
+        assert_error(&clip, Part::Video, None, "this is no readable video");
+    }
+}
+
+#[test]
+fn sound_alone() {
+    let clip = Clip::new();
+    let sound = ["-f", "lavfi", "-i", "sine=duration=0.2", "-map", "1:a", "-c:a", "aac", "-f", "mp4"];
+    clip.video(&video(&sound));
+    assert_error(&clip, Part::Video, None, "the file holds no video stream");
+}
+
+#[test]
+fn a_truncated_file() {
+    let clip = Clip::new();
+    let whole = video(&MP4);
+    clip.video(&whole[..whole.len() / 2]);
+    assert_error(&clip, Part::Video, None, "this is no readable video: moov atom not found");
+    let early_index = video(&[&MP4[..], &["-movflags", "faststart"]].concat());
+    clip.video(&early_index[..early_index.len() * 2 / 3]);
+    let error = clip.error();
+    assert!(error.message.starts_with("the file is damaged or cut off: "), "{error}");
+    assert!(error.message.contains(" of 12 frames could be read"), "{error}");
+    // Other containers do not tell how many frames they should have.
+    let stream = video(&MKV);
+    clip.video(&stream[..stream.len() * 2 / 3]);
+    assert_error(&clip, Part::Video, None, "the file is damaged");
+}
+
+#[test]
+fn more_frames_or_pixels_than_are_allowed() {
+    let clip = Clip::new();
+    let made = |source: &str| {
+        video(&[&["-f", "lavfi", "-i", source, "-map", "1:v"], &["-c:v", "mjpeg", "-f", "matroska"][..]].concat())
+    };
+    clip.video(&made("color=size=16x16:rate=25:duration=160"));
+    assert_error(&clip, Part::Video, None, "there are more than 3600 frames");
+    clip.video(&made("color=size=8192x4096:rate=25:duration=0.04"));
+    assert_error(&clip, Part::Video, None, "the images are 8192×4096");
+}
+
+#[test]
+fn no_frames_at_all() {
+    let clip = Clip::new();
+    clip.video(&encode(std::iter::empty(), "rgb24", &MKV));
+    assert_eq!(clip.error().part, Part::Video);
+}
+
+#[test]
+fn masks_of_another_count_or_size() {
+    let clip = Clip::new();
+    clip.masks(&mask_zip(COUNT - 2));
+    assert_error(&clip, Part::Masks, None, "there are 10 frames of masks, the video has 12");
+    clip.masks(&mask_zip(COUNT + 1));
+    assert_error(&clip, Part::Masks, None, "there are 13 frames of masks, the video has 12");
+    let half = |i: usize| -> Vec<u8> { mask(i)[..(WIDTH * HEIGHT / 2) as usize].to_vec() };
+    let half = |i| png(&half(i), WIDTH, HEIGHT / 2, image::ExtendedColorType::L8);
+    clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), if i == 7 { half(i) } else { mask_png(i) }))));
+    assert_error(&clip, Part::Masks, Some(7), "the mask is 64×48");
+}
+
+#[test]
+fn empty_masks() {
+    let clip = Clip::new();
+    let black = png(&vec![0; (WIDTH * HEIGHT) as usize], WIDTH, HEIGHT, image::ExtendedColorType::L8);
+    let files = |empty: fn(usize) -> bool| {
+        zip((0..COUNT).map(|i| (format!("{i}.png"), if empty(i) { black.clone() } else { mask_png(i) })))
+    };
+    clip.masks(&files(|_| true));
+    assert_error(&clip, Part::Masks, None, "all 12 masks are empty; their brightest pixel is 0");
+    clip.masks(&files(|i| i == 4 || i == 9));
+    assert_error(&clip, Part::Masks, Some(4), "the mask is empty, 0 pixels are foreground; 2 masks are");
+    // Foreground written as 1 is a common mistake.
+    let ones = |i| -> Vec<u8> { mask(i).into_iter().map(|v| v.min(1)).collect() };
+    let ones = |i| png(&ones(i), WIDTH, HEIGHT, image::ExtendedColorType::L8);
+    clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), ones(i)))));
+    assert_error(&clip, Part::Masks, None, "all 12 masks are empty; their brightest pixel is 1");
+}
+
+#[test]
+fn keypoints_with_wrong_counts_strings_or_nan() {
+    let clip = Clip::new();
+    let good: Vec<_> = (0..COUNT).map(points).collect();
+    clip.keypoints(keypoint_json(&good[1..]));
+    assert_error(&clip, Part::Keypoints, None, "there are 11 frames of keypoints, the video has 12");
+    let mut short = good.clone();
+    short[3].pop();
+    clip.keypoints(keypoint_json(&short));
+    assert_error(&clip, Part::Keypoints, Some(3), "there are 16 points");
+    let text = keypoint_json(&good);
+    for odd in ["NaN", "\"30\"", "null"] {
+        // The x of every point of frame 6, and of no other frame.
+        clip.keypoints(text.replace("[30.0,", &format!("[{odd},")));
+        assert_error(&clip, Part::Keypoints, Some(6), "point 0 cannot be used");
+    }
+}
+
+#[test]
+fn keypoints_of_something_else() {
+    let clip = Clip::new();
+    let moved = |f: fn([f64; 3]) -> [f64; 3]| {
+        keypoint_json(&(0..COUNT).map(|i| points(i).into_iter().map(f).collect()).collect::<Vec<_>>())
+    };
+    clip.keypoints(moved(|[x, y, c]| [x / 64.0, y / 96.0, c]));
+    assert_error(&clip, Part::Keypoints, None, "no coordinate is above ");
+    clip.keypoints(moved(|[x, y, c]| [x * 20.0, y * 20.0, c]));
+    assert_error(&clip, Part::Keypoints, None, "204 of 204 points lie far outside the images");
+    clip.keypoints(moved(|[_, y, c]| [2.0, y, c]));
+    assert_error(&clip, Part::Keypoints, None, "204 of 204 points lie off the masks");
+    clip.keypoints(moved(|[x, y, _]| [x, y, 0.0]));
+    assert_error(&clip, Part::Keypoints, None, "no point of any frame has a confidence above 0");
+}
+
+#[test]
+fn zips_that_climb_or_explode() {
+    let clip = Clip::new();
+    clip.masks(&zip([("../0.png".to_owned(), mask_png(0))]));
+    assert_error(&clip, Part::Masks, None, "the zip has an entry named `../0.png`");
+    clip.masks(&zip([("0.png".to_owned(), vec![0; 3 << 20])]));
+    assert_error(&clip, Part::Masks, None, "`0.png` expands from ");
+    clip.masks(&zip((0..=3600).map(|i| (format!("{i}.png"), Vec::new()))));
+    assert_error(&clip, Part::Masks, None, "there are more than 3600 frames");
+    clip.masks(&zip((0..=20_000).map(|i| (format!("{i}"), Vec::new()))));
+    assert_error(&clip, Part::Masks, None, "the zip has too many entries");
+    clip.masks(&zip([("0.png".to_owned(), b"no image".to_vec())]));
+    assert_error(&clip, Part::Masks, Some(0), "`0.png` cannot be read");
+}
+
+#[test]
+fn an_image_of_absurd_size_is_refused_by_its_header() {
+    let clip = Clip::new();
+    let mut header = b"IHDR".to_vec();
+    header.extend([100_000u32, 100_000].iter().flat_map(|n| n.to_be_bytes()));
+    header.extend([8, 0, 0, 0, 0]);
+    let mut crc = flate2::Crc::new();
+    crc.update(&header);
+    let mut bytes = b"\x89PNG\r\n\x1a\n\0\0\0\r".to_vec();
+    bytes.extend(&header);
+    bytes.extend(crc.sum().to_be_bytes());
+    bytes.extend(b"\0\0\0\0IDAT\x35\xaf\x06\x1e");
+    clip.masks(&zip([("0.png".to_owned(), bytes)]));
+    assert_error(&clip, Part::Masks, Some(0), "the images are 100000×100000");
+}
+
+#[test]
+fn cameras_and_poses_of_another_clip() {
+    let mut clip = Clip::new();
+    clip.inputs.camera = clip.add("camera", r#"{"width": 64, "height": 96, "fx": 0, "fy": 0, "cx": 32, "cy": 48}"#);
+    assert_error(&clip, Part::Camera, None, "the focal length `fx` is 0");
+    let double = r#"{"width": 128, "height": 192, "fx": 160, "fy": 160, "cx": 64, "cy": 96}"#;
+    clip.inputs.camera = clip.add("camera", double);
+    assert_error(&clip, Part::Camera, None, "the camera is of 128×192 images; divide");
+    clip.inputs.camera = None;
+    let mut npz = NpzWriter::new(Cursor::new(Vec::new()));
+    npz.add("poses", &[5, 72], &[0.0f32; 360]).unwrap();
+    npz.add("trans", &[5, 3], &[0.0f32; 15]).unwrap();
+    clip.inputs.poses = clip.add("poses", npz.finish().unwrap().into_inner());
+    assert_error(&clip, Part::Poses, None, "there are 5 frames of poses, the video has 12");
+    clip.inputs.poses = clip.add("poses", "no archive");
+    assert_error(&clip, Part::Poses, None, "not an npz archive");
+}
+
+#[test]
+fn a_missing_file_is_our_fault() {
+    let clip = Clip::new();
+    std::fs::remove_file(&clip.inputs.video).unwrap();
+    assert!(inspect(&clip.inputs).unwrap_err().bad_input().is_none());
+}
