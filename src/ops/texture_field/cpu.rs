@@ -94,7 +94,7 @@ fn encode_backward<T: Real>(
             }
             for (axis, grad) in grad_x.iter_mut().enumerate() {
                 if x[axis] >= T::zero() && x[axis] <= T::one() {
-                    *grad += cell.slope(k, axis) * value * T::of(level.scale);
+                    *grad += cell.slope(k, axis) * value * level.scale_of::<T>();
                 }
             }
         }
@@ -111,7 +111,7 @@ impl<T: Real> Cell<T> {
     fn new(level: &Level, x: &[T]) -> Self {
         let mut cell = Self { corner: [0; 3], place: [T::zero(); 3] };
         for axis in 0..3 {
-            let position = x[axis].max(T::zero()).min(T::one()) * T::of(level.scale) + T::of(0.5);
+            let position = x[axis].max(T::zero()).min(T::one()) * level.scale_of::<T>() + T::of(0.5);
             let corner = position.floor();
             cell.corner[axis] = corner.to_u32().unwrap_or(0);
             cell.place[axis] = position - corner;

@@ -243,7 +243,7 @@ fn encode_params(config: &TextureFieldConfig) -> EncodeParams {
     params.n_levels = config.n_levels as u32;
     for (uniform, level) in params.levels.iter_mut().zip(config.levels()) {
         *uniform = LevelUniform {
-            scale: level.scale as f32,
+            scale: level.scale_of::<f32>(),
             resolution: level.resolution,
             offset: level.offset,
             entries: level.entries,

@@ -87,6 +87,15 @@ pub struct Level {
     pub hashed: bool,
 }
 
+impl Level {
+    /// `scale` rounded towards zero. The finest scale is a whole number but for rounding; rounded up, it would put the
+    /// middle of the cube on the other side of a cell's border than the exact scale does.
+    fn scale_of<T: super::Real>(&self) -> T {
+        let nearest = T::of(self.scale);
+        if nearest.f64() > self.scale { nearest * (T::one() - T::epsilon() / T::of(2.0)) } else { nearest }
+    }
+}
+
 impl TextureFieldConfig {
     /// Checks the sizes.
     pub fn validate(&self) -> Result<(), TextureFieldError> {

@@ -170,6 +170,23 @@ fn the_upper_border_stays_inside_the_table() {
     assert!(at(f64::NAN).len() == 3);
 }
 
+/// In f64 this finest scale is a little below 63 and the middle of the cube a little below point 32; f32 must not lift
+/// it over the border, where the gradient differs.
+#[test]
+fn the_middle_of_the_cube_keeps_its_cell_in_f32() {
+    let growth = ((64f64.ln() - 4f64.ln()) / 7.0).exp();
+    let config = TextureFieldConfig {
+        n_levels: 8,
+        base_resolution: 4,
+        per_level_scale: growth,
+        ..TextureFieldConfig::default()
+    };
+    let finest = config.levels()[7];
+    assert!(finest.scale < 63.0 && finest.scale > 62.999_999);
+    assert!(0.5 * finest.scale_of::<f32>() + 0.5 < 32.0);
+    assert_eq!(config.levels()[0].scale_of::<f32>(), 3.0);
+}
+
 fn gpu_matches_cpu(test: &str, config: TextureFieldConfig, n: usize, listed: usize) {
     let Some(gpu) = gpu(test) else { return };
     let (params, coords) = random_case(&config, n, (-0.1, 1.1));
