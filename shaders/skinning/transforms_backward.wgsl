@@ -1,7 +1,5 @@
 // grad_transforms[j] = Σ_v w_vj grad_vertices[v] (v_posed[v], 1)ᵀ over the vertices that joint j moves; one workgroup a
 // joint, in a fixed order.
-#import shared/workgroup_sum
-
 struct Params {
     n_joints: u32,
 }
@@ -13,6 +11,9 @@ struct Params {
 @group(0) @binding(4) var<storage, read> v_posed: array<f32>;
 @group(0) @binding(5) var<storage, read> grad_vertices: array<f32>;
 @group(0) @binding(6) var<storage, read_write> grad_transforms: array<f32>; // [24, 3, 4]
+
+var<workgroup> lanes: array<f32, 3072>; // 12 numbers × 256 lanes
+var<workgroup> rows: array<f32, 192>; // 12 numbers × 16 rows of lanes
 
 @compute @workgroup_size(256)
 fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3<u32>) {
@@ -29,14 +30,26 @@ fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group
             z_sum += grad_vertices[v + 2u] * x;
         }
     }
+    // All twelve sums share the barriers.
     for (var column = 0u; column < 4u; column++) {
-        let x = workgroup_sum(lane, x_sum[column]);
-        let y = workgroup_sum(lane, y_sum[column]);
-        let z = workgroup_sum(lane, z_sum[column]);
-        if lane == 0u {
-            grad_transforms[12u * j + column] = x;
-            grad_transforms[12u * j + 4u + column] = y;
-            grad_transforms[12u * j + 8u + column] = z;
+        lanes[column * 256u + lane] = x_sum[column];
+        lanes[(4u + column) * 256u + lane] = y_sum[column];
+        lanes[(8u + column) * 256u + lane] = z_sum[column];
+    }
+    workgroupBarrier();
+    if lane < 192u {
+        var row = 0.0;
+        for (var i = 0u; i < 16u; i++) {
+            row += lanes[lane * 16u + i];
         }
+        rows[lane] = row;
+    }
+    workgroupBarrier();
+    if lane < 12u && j < params.n_joints {
+        var total = 0.0;
+        for (var i = 0u; i < 16u; i++) {
+            total += rows[lane * 16u + i];
+        }
+        grad_transforms[12u * j + lane] = total;
     }
 }

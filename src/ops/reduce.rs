@@ -5,9 +5,9 @@ use std::sync::Arc;
 use crate::gpu::{Buffer, Gpu, Kernel, Recorder};
 
 /// Up to this many values one workgroup sums alone.
-const ONE_PASS: usize = 16_384;
+const ONE_PASS: usize = 32_768;
 /// Workgroups of the first of two passes.
-const PARTIALS: usize = 256;
+const PARTIALS: usize = 64;
 
 /// Where an operator adds the value of its loss: `losses[index]`, see the conventions in [`crate::ops`].
 #[derive(Clone, Copy)]

@@ -40,14 +40,23 @@ fn on_gpu(gpu: &Gpu, faces: &[[u32; 3]], rest: &[f64], vertices: &[f64], weight:
     (gpu.read(&losses).unwrap()[0] as f64 - 1.0, gpu.read(&grads).unwrap())
 }
 
-/// Faces, rest vertices, deformed vertices, the loss and its gradient by the offsets.
-fn load() -> (Vec<[u32; 3]>, Vec<f64>, Vec<f64>, f64, Vec<f64>) {
+struct Golden {
+    faces: Vec<[u32; 3]>,
+    rest: Vec<f64>,
+    vertices: Vec<f64>,
+    loss: f64,
+    /// By the offsets.
+    grad: Vec<f64>,
+}
+
+fn load() -> Golden {
     let npz = golden("losses.npz");
     let data = |name: &str| npz.get(name).unwrap().data.clone();
     let faces = data("faces").iter().map(|&i| i as u32).collect::<Vec<_>>();
     let rest = data("rest_vertices");
     let vertices = rest.iter().zip(data("offsets")).map(|(v, d)| v + d).collect();
-    (points(&faces), rest, vertices, npz.scalar("face_area").unwrap(), data("grad_face_area"))
+    let (loss, grad) = (npz.scalar("face_area").unwrap(), data("grad_face_area"));
+    Golden { faces: points(&faces), rest, vertices, loss, grad }
 }
 
 #[test]
@@ -92,19 +101,19 @@ fn faces_without_area_are_finite() {
 
 #[test]
 fn cpu_matches_golden() {
-    let (faces, rest, vertices, want, grad) = load();
-    let (rest, vertices) = (points(&rest), points(&vertices));
-    assert_close("loss", &[loss(&faces, &rest, &vertices)], &[want], 1e-12);
-    assert_close("grad", gradient(&faces, &rest, &vertices, 1.0).as_flattened(), &grad, 1e-10);
+    let g = load();
+    let (rest, vertices) = (points(&g.rest), points(&g.vertices));
+    assert_close("loss", &[loss(&g.faces, &rest, &vertices)], &[g.loss], 1e-12);
+    assert_close("grad", gradient(&g.faces, &rest, &vertices, 1.0).as_flattened(), &g.grad, 1e-10);
 }
 
 #[test]
 fn gpu_matches_golden() {
     let Some(gpu) = gpu("face_area::gpu_matches_golden") else { return };
-    let (faces, rest, vertices, want, want_grad) = load();
-    let (loss, grad) = on_gpu(&gpu, &faces, &rest, &vertices, 1.0);
-    assert_close("loss", &[loss], &[want], VALUE);
-    assert_close("grad", &grad, &want_grad, GRADIENT);
+    let g = load();
+    let (loss, grad) = on_gpu(&gpu, &g.faces, &g.rest, &g.vertices, 1.0);
+    assert_close("loss", &[loss], &[g.loss], VALUE);
+    assert_close("grad", &grad, &g.grad, GRADIENT);
 }
 
 #[test]
