@@ -22,6 +22,7 @@ const SHARED: &[(&str, &str)] = &[
     ("shared/pinhole", include_str!("../../shaders/shared/pinhole.wgsl")),
     ("shared/rodrigues", include_str!("../../shaders/shared/rodrigues.wgsl")),
     ("shared/soft_face", include_str!("../../shaders/shared/soft_face.wgsl")),
+    ("shared/target_pixel", include_str!("../../shaders/shared/target_pixel.wgsl")),
     ("shared/unit_or_zero", include_str!("../../shaders/shared/unit_or_zero.wgsl")),
     ("shared/workgroup_sum", include_str!("../../shaders/shared/workgroup_sum.wgsl")),
 ];

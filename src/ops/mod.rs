@@ -38,6 +38,7 @@ pub mod rgb_l1;
 pub mod silhouette_iou;
 pub mod skinning;
 pub mod soft_rasterize;
+mod target;
 #[cfg(test)]
 pub(crate) mod testing;
 pub mod texture_field;
@@ -46,4 +47,5 @@ pub mod topology;
 pub use corners::Corners;
 pub use real::Real;
 pub use reduce::LossSlot;
+pub use target::{Target, pack_pixel};
 pub use topology::{Rows, Topology};

@@ -1,1 +1,16 @@
-//! (to come)
+//! The colour loss `Σ_p w_p Σ_c |Î − I|` (the paper's L_RGB), summed, not averaged.
+//!
+//! | buffer | shape | role |
+//! |---|---|---|
+//! | `image` | `[H, W, 3]` | the rendered image Î |
+//! | target | [`Target`](crate::ops::Target) | the masked ground truth I |
+//! | `weights` | `[H, W]` | optional weight of each pixel |
+//! | `grad_image` | `[H, W, 3]` | `backward` adds `λ w sign(Î − I)`, zero where both are equal |
+
+pub mod cpu;
+mod gpu;
+
+pub use gpu::RgbL1;
+
+#[cfg(test)]
+mod tests;

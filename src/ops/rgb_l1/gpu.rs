@@ -1,0 +1,103 @@
+//! Host side of `shaders/rgb_l1/`.
+
+use std::sync::Arc;
+
+use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder, linear_groups};
+use crate::ops::reduce::Sum;
+use crate::ops::{LossSlot, Target};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    n_pixels: u32,
+    offset: u32,
+    background: [f32; 3],
+    composite: f32,
+    lambda: f32,
+    unused: u32,
+}
+
+/// The loss of images of up to `max_pixels`.
+pub struct RgbL1 {
+    // [packed][weighted]
+    forward: [[Arc<Kernel>; 2]; 2],
+    backward: [[Arc<Kernel>; 2]; 2],
+    sum: Sum,
+    values: Buffer<f32>,
+}
+
+impl RgbL1 {
+    pub fn new(gpu: &Gpu, max_pixels: usize) -> Self {
+        let constants = [false, true].map(|packed| {
+            [false, true].map(|weighted| [("PACKED", packed.to_string()), ("WEIGHTED", weighted.to_string())])
+        });
+        let forward = constants.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/forward", c)));
+        let backward = constants.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/backward", c)));
+        Self { forward, backward, sum: Sum::new(gpu), values: gpu.zeros("rgb_l1/values", max_pixels) }
+    }
+
+    /// Records the loss of the first `n_pixels` of `image`.
+    ///
+    /// # Panics
+    /// When a buffer is too short, or the image larger than this loss was made for.
+    pub fn forward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        n_pixels: usize,
+        image: &Buffer<f32>,
+        target: Target<'_>,
+        weights: Option<&Buffer<f32>>,
+        loss: LossSlot<'_>,
+    ) {
+        assert!(n_pixels <= self.values.len(), "rgb_l1: {n_pixels} pixels");
+        self.record(recorder, &self.forward, n_pixels, image, target, weights, 1.0, &self.values);
+        self.sum.add(recorder, &self.values, n_pixels, loss);
+    }
+
+    /// Records `grad_image += λ ∂L/∂image`.
+    ///
+    /// # Panics
+    /// When a buffer is too short.
+    #[expect(clippy::too_many_arguments, reason = "the contract's buffers, in its order")]
+    pub fn backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        n_pixels: usize,
+        image: &Buffer<f32>,
+        target: Target<'_>,
+        weights: Option<&Buffer<f32>>,
+        lambda: f32,
+        grad_image: &Buffer<f32>,
+    ) {
+        assert!(grad_image.len() >= n_pixels * 3, "{}: length", grad_image.label());
+        self.record(recorder, &self.backward, n_pixels, image, target, weights, lambda, grad_image);
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "what both passes share")]
+    fn record(
+        &self,
+        recorder: &mut Recorder<'_>,
+        kernels: &[[Arc<Kernel>; 2]; 2],
+        n_pixels: usize,
+        image: &Buffer<f32>,
+        target: Target<'_>,
+        weights: Option<&Buffer<f32>>,
+        lambda: f32,
+        out: &Buffer<f32>,
+    ) {
+        assert!(image.len() >= n_pixels * 3, "{}: length", image.label());
+        assert!(weights.is_none_or(|w| w.len() >= n_pixels), "rgb_l1: length of weights");
+        let params = Params {
+            n_pixels: n_pixels as u32,
+            offset: target.offset(),
+            background: target.background().unwrap_or_default(),
+            composite: if target.background().is_some() { 1.0 } else { 0.0 },
+            lambda,
+            unused: 0,
+        };
+        let kernel = &kernels[usize::from(target.is_packed())][usize::from(weights.is_some())];
+        // Without weights the kernel reads nothing there.
+        let buffers: [&dyn AnyBuffer; 4] = [image, target.buffer(n_pixels, 3), weights.unwrap_or(image), out];
+        recorder.dispatch(kernel, &params, &buffers, linear_groups(n_pixels, 64));
+    }
+}

@@ -1,0 +1,78 @@
+use super::{RgbL1, cpu};
+use crate::gpu::Gpu;
+use crate::ops::testing::{GRADIENT, VALUE, assert_close, assert_gradient, f32s, golden, gpu, noise};
+use crate::ops::{LossSlot, Target, pack_pixel};
+
+/// The device's loss and gradient, which is added to ones.
+fn on_gpu(gpu: &Gpu, image: &[f64], target: Target<'_>, weights: Option<&[f64]>, lambda: f32) -> (f32, Vec<f32>) {
+    let n = image.len() / 3;
+    let op = RgbL1::new(gpu, n + 3);
+    let image = gpu.upload("image", &f32s(image));
+    let weights = weights.map(|w| gpu.upload("weights", &f32s(w)));
+    let (losses, grad) = (gpu.zeros("losses", 2), gpu.upload("grad_image", &vec![1.0f32; n * 3]));
+    let mut recorder = gpu.recorder("rgb_l1/test");
+    op.forward(&mut recorder, n, &image, target, weights.as_ref(), LossSlot::new(&losses, 1));
+    op.backward(&mut recorder, n, &image, target, weights.as_ref(), lambda, &grad);
+    recorder.submit().unwrap();
+    (gpu.read(&losses).unwrap()[1], gpu.read(&grad).unwrap().iter().map(|g| g - 1.0).collect())
+}
+
+#[test]
+fn matches_golden() {
+    let npz = golden("losses.npz");
+    let data = |key: &str| npz.get(key).unwrap().data.clone();
+    let (image, target, want) = (data("image"), data("target"), data("grad_image"));
+    let mut grad = vec![0.0; image.len()];
+    cpu::backward(&image, &target, None, 1.0, &mut grad);
+    assert_close("rgb_loss", &[cpu::forward(&image, &target, None)], &data("rgb_loss"), 1e-12);
+    assert_close("grad_image", &grad, &want, 1e-12);
+
+    let Some(gpu) = gpu("rgb_l1::matches_golden") else { return };
+    let target = gpu.upload("target", &f32s(&target));
+    let (loss, grad) = on_gpu(&gpu, &image, Target::Values(&target), None, 1.0);
+    assert_close("rgb_loss", &[loss], &data("rgb_loss"), VALUE);
+    assert_close("grad_image", &grad, &want, GRADIENT);
+}
+
+#[test]
+fn gradient_with_weights() {
+    let (image, target) = (noise(30, 1), noise(30, 2));
+    let weights: Vec<f64> = noise(10, 3).iter().map(|w| w.abs()).collect();
+    let mut grad = vec![0.0; 30];
+    cpu::backward(&image, &target, Some(&weights), 1.0, &mut grad);
+    assert_gradient("image", &image, &grad, |image| cpu::forward(image, &target, Some(&weights)));
+}
+
+#[test]
+fn a_packed_target_is_composited_over_the_background() {
+    let Some(gpu) = gpu("rgb_l1::a_packed_target_is_composited_over_the_background") else { return };
+    let n = 37;
+    let bytes: Vec<u8> = noise(n * 4, 4).iter().map(|x| ((x + 1.0) * 127.9) as u8).collect();
+    let pixel = |i: usize| -> [u8; 4] { bytes[i * 4..][..4].try_into().unwrap() };
+    let unit = |x: u8| f64::from(x) / 255.0;
+    // Another frame lies before this one.
+    let packed: Vec<u32> = [0xdead_beef; 5]
+        .into_iter()
+        .chain((0..n).map(|i| pack_pixel([pixel(i)[0], pixel(i)[1], pixel(i)[2]], pixel(i)[3])))
+        .collect();
+    let pixels = gpu.upload("pixels", &packed);
+    let image: Vec<f64> = noise(n * 3, 5).iter().map(|x| x.abs()).collect();
+    let weights: Vec<f64> = noise(n, 6).iter().map(|x| x.abs()).collect();
+    for background in [None, Some([0.25f32, 1.0, 0.5])] {
+        for weights in [None, Some(&weights[..])] {
+            let target: Vec<f64> = (0..n * 3)
+                .map(|k| {
+                    let ([r, g, b, mask], c) = (pixel(k / 3), k % 3);
+                    let colour = unit([r, g, b][c]);
+                    background.map_or(colour, |bg| unit(mask) * colour + (1.0 - unit(mask)) * f64::from(bg[c]))
+                })
+                .collect();
+            let seen = Target::Packed { pixels: &pixels, offset: 5, background };
+            let (loss, grad) = on_gpu(&gpu, &image, seen, weights, 0.5);
+            let mut want = vec![0.0; n * 3];
+            cpu::backward(&image, &target, weights, 0.5, &mut want);
+            assert_close("loss", &[loss], &[cpu::forward(&image, &target, weights)], 1e-5);
+            assert_close("grad_image", &grad, &want, 1e-5);
+        }
+    }
+}
