@@ -17,14 +17,18 @@ pub const ROUNDS: usize = 3;
 /// Points of the outline in a frame.
 const POINTS: usize = 160;
 /// Information of one point: neighbours say nearly the same.
-const WEIGHT: f64 = 0.15;
+const WEIGHT: f64 = 0.05;
+/// Clothes are the same in all frames: so many frames weigh as much for the shape as one.
+const FRAMES_ALIKE: f64 = 10.0;
 /// σ outside and inside the mask in multiples of the person's height: the naked body may lie inside the mask by
 /// the thickness of clothes, hardly outside.
 const OUTSIDE: f64 = 0.006;
-const INSIDE: f64 = 0.010;
+const INSIDE: f64 = 0.012;
 /// Outlines must run alike, and not farther from the mask's edge than this part of the person's height.
 const ALIKE: f64 = 0.6;
 const REACH: f64 = 0.06;
+/// Ankles and toes, head, wrists and hands: shoes and hair are always larger than what they cover.
+const DRESSED_JOINTS: [u32; 9] = [7, 8, 10, 11, 15, 20, 21, 22, 23];
 /// Distance from the picture's border in pixels where masks end without being a person's edge.
 const BORDER_PX: f64 = 3.0;
 
@@ -45,18 +49,24 @@ pub fn refine(
     }
     let height = sides::height_px(&best.problem, &best.state);
     best.scales.contour_weight = WEIGHT;
+    best.scales.shape_weight = (best.state.frames.len() as f64 / FRAMES_ALIKE).max(1.0);
     best.scales.contour_outside_px = OUTSIDE * height;
     best.scales.contour_inside_px = INSIDE * height;
-    let size = DVec2::new(f64::from(capture.camera.width), f64::from(capture.camera.height));
+    let dressed: Vec<bool> = (0..body.n_vertices()).map(|v| is_dressed(body, v)).collect();
+    let outline = |state: &State| Outline {
+        body,
+        dressed: &dressed,
+        shaped: shaped(body, state),
+        size: DVec2::new(f64::from(capture.camera.width), f64::from(capture.camera.height)),
+        reach_px: REACH * height,
+    };
     let mut known = HashMap::new();
     for _ in 0..ROUNDS {
-        let outline = Outline { body, shaped: shaped(body, &best.state), size, reach_px: REACH * height };
-        outline.attach(&mut best.problem, &best.state, &masks, &mut known);
+        outline(&best.state).attach(&mut best.problem, &best.state, &masks, &mut known);
         best.descend(iterations, 1e-3, go_on)?;
         report.costs.push(best.cost);
     }
-    let outline = Outline { body, shaped: shaped(body, &best.state), size, reach_px: REACH * height };
-    report.mask_iou = outline.overlap(&best.problem, &best.state, capture, &masks) as f32;
+    report.mask_iou = outline(&best.state).overlap(&best.problem, &best.state, capture, &masks) as f32;
     Ok(())
 }
 
@@ -86,10 +96,17 @@ fn shaped(body: &Body, state: &State) -> Vec<DVec3> {
     body.shaped_vertices(&betas).into_iter().map(double).collect()
 }
 
+fn is_dressed(body: &Body, v: usize) -> bool {
+    let influences = body.lbs_joints[v].iter().zip(&body.lbs_weights[v]);
+    influences.filter(|(j, _)| DRESSED_JOINTS.contains(j)).map(|(_, w)| w).sum::<f32>() > 0.3
+}
+
 /// The model's outline in all frames of one state.
 struct Outline<'a> {
     body: &'a Body,
     shaped: Vec<DVec3>,
+    /// `[V]`: vertices under hair and shoes, or of hands, whose joints are not fitted.
+    dressed: &'a [bool],
     /// Of the picture, pixels.
     size: DVec2,
     reach_px: f64,
@@ -141,6 +158,9 @@ impl Outline<'_> {
         };
         let mut candidates = Vec::new();
         for vertex in rim(&image, &self.body.faces) {
+            if self.dressed[vertex] {
+                continue;
+            }
             let at = image[vertex];
             let border = at.min(self.size - at).min_element();
             let Some((depth, outward)) = model.slope(at).filter(|_| border > BORDER_PX) else { continue };

@@ -44,11 +44,13 @@ pub struct Stage0Options {
     pub use_masks: bool,
     /// Most descent steps in one round.
     pub iterations: usize,
+    /// The person's height in metres where somebody measured it: the one thing that a single camera cannot see.
+    pub height_m: Option<f64>,
 }
 
 impl Default for Stage0Options {
     fn default() -> Self {
-        Self { use_masks: true, iterations: 12 }
+        Self { use_masks: true, iterations: 12, height_m: None }
     }
 }
 
@@ -131,6 +133,9 @@ pub fn solve(
         Some(known) => vec![known::candidate(body, capture, known, &mut report)?],
         None => setup::candidates(body, capture)?,
     };
+    if let Some(height) = options.height_m {
+        candidates.iter_mut().for_each(|c| c.problem.stature.measured(height));
+    }
     let rounds = ROUGH_ROUNDS * candidates.len() + FINE_ROUNDS + if options.use_masks { contour::ROUNDS } else { 0 };
     let mut done = 0;
     let mut step = || {

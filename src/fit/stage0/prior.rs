@@ -26,6 +26,11 @@ pub const PELVIS_DRIFT: f64 = 0.003;
 pub const TURN_DRIFT: f64 = 0.01;
 /// Spread of the body's up axis about the camera's, radians.
 pub const UPRIGHT_SIGMA: f64 = 0.35;
+/// Spread of the body's height about the mean body's, metres. Betas alone allow more; but what looks like a
+/// child's proportions is more often clothes, shoes and hair.
+pub const STATURE_SIGMA: f64 = 0.08;
+/// The same where the height is given.
+pub const MEASURED_SIGMA: f64 = 0.005;
 /// Spread of fitted keypoint offsets, metres.
 pub const OFFSET_SIGMA: f64 = 0.025;
 

@@ -66,6 +66,24 @@ pub struct Scales {
     /// σ of contours outside and inside the mask: clothes and hair make masks larger than the naked body.
     pub contour_outside_px: f64,
     pub contour_inside_px: f64,
+    /// Information of the shape prior: more than 1 where the evidence errs alike in all frames.
+    pub shape_weight: f64,
+}
+
+/// The body's height, metres.
+pub struct Stature {
+    pub template: f64,
+    /// For a unit of each beta. `[B]`
+    pub slopes: Vec<f64>,
+    pub expected: f64,
+    pub sigma: f64,
+}
+
+impl Stature {
+    /// Somebody measured the person.
+    pub fn measured(&mut self, height: f64) {
+        (self.expected, self.sigma) = (height, prior::MEASURED_SIGMA);
+    }
 }
 
 /// Poses that came with the clip: the fit may move only this far from them (1σ; radians, metres).
@@ -77,6 +95,7 @@ pub struct Problem {
     pub layout: Layout,
     pub prior: Prior,
     pub camera: Pinhole,
+    pub stature: Stature,
     /// Spread of the focal length's logarithm; tiny where the camera is known.
     pub focal_sigma: f64,
     pub landmarks: Vec<Landmark>,
@@ -136,7 +155,7 @@ impl Problem {
     pub fn evaluate(&self, state: &State, scales: &Scales, mut normal: Option<&mut Normal>) -> f64 {
         let camera = self.camera.zoomed(state.shared.log_focal);
         let mut rows = Rows::default();
-        let mut cost = self.shared_prior(&state.shared, normal.as_deref_mut());
+        let mut cost = self.shared_prior(&state.shared, scales, normal.as_deref_mut());
         for (t, frame) in state.frames.iter().enumerate() {
             let posed = self.rig.pose(frame, &state.shared);
             cost += self.keypoints(t, &posed, state, &camera, scales, &mut rows, normal.as_deref_mut());
@@ -244,8 +263,16 @@ impl Problem {
         cost
     }
 
-    fn shared_prior(&self, shared: &Shared, mut normal: Option<&mut Normal>) -> f64 {
-        let mut cost = 0.0;
+    fn shared_prior(&self, shared: &Shared, scales: &Scales, mut normal: Option<&mut Normal>) -> f64 {
+        let grown: f64 = self.stature.slopes.iter().zip(&shared.betas).map(|(s, b)| s * b).sum();
+        let taller = self.stature.template + grown - self.stature.expected;
+        let weight = scales.shape_weight / (self.stature.sigma * self.stature.sigma);
+        let mut cost = 0.5 * weight * taller * taller;
+        if let Some(normal) = normal.as_deref_mut() {
+            let slopes: Vec<_> =
+                self.stature.slopes.iter().enumerate().map(|(b, s)| (self.layout.beta_column(b), *s)).collect();
+            normal.add(0, &[], &slopes, taller, weight);
+        }
         let mut pull = |column: usize, value: f64, sigma: f64| {
             let weight = 1.0 / (sigma * sigma);
             cost += 0.5 * weight * value * value;
@@ -254,7 +281,7 @@ impl Problem {
             }
         };
         for (b, beta) in shared.betas.iter().enumerate() {
-            pull(self.layout.beta_column(b), *beta, 1.0);
+            pull(self.layout.beta_column(b), *beta, scales.shape_weight.sqrt().recip());
         }
         for slot in 0..N_OFFSETS {
             for axis in 0..3 {

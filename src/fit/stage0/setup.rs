@@ -5,8 +5,8 @@ use glam::{DMat3, DVec2, DVec3};
 use super::landmarks::N_OFFSETS;
 use super::landmarks::landmarks;
 use super::placement::{self, Placement};
-use super::prior::Prior;
-use super::problem::{Observation, Pinhole, Problem, Scales};
+use super::prior::{self, Prior};
+use super::problem::{Observation, Pinhole, Problem, Scales, Stature};
 use super::rig::{Point, Rig};
 use super::sides;
 use super::state::{Frame, Layout, Shared, State};
@@ -57,6 +57,7 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         rig,
         prior,
         camera: Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy },
+        stature: stature(body),
         focal_sigma: if capture.camera_estimated { GUESSED_FOCAL } else { KNOWN_FOCAL },
         landmarks,
         points,
@@ -66,6 +67,21 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         contours: Vec::new(),
         anchor: None,
     })
+}
+
+/// How the height between the template's lowest and highest vertices grows with each beta.
+fn stature(body: &Body) -> Stature {
+    let by_height = |a: &usize, b: &usize| body.v_template[*a][1].total_cmp(&body.v_template[*b][1]);
+    let lowest = (0..body.n_vertices()).min_by(by_height).unwrap_or(0);
+    let highest = (0..body.n_vertices()).max_by(by_height).unwrap_or(0);
+    let rise = |v: usize, b: usize| f64::from(body.shapedirs[(v * 3 + 1) * body.n_betas + b]);
+    let template = f64::from(body.v_template[highest][1] - body.v_template[lowest][1]);
+    Stature {
+        template,
+        slopes: (0..body.n_betas).map(|b| rise(highest, b) - rise(lowest, b)).collect(),
+        expected: template,
+        sigma: prior::STATURE_SIGMA,
+    }
 }
 
 pub fn mean_shape(n_betas: usize) -> Shared {
@@ -80,6 +96,7 @@ pub fn rough_scales(problem: &Problem, state: &State) -> Scales {
         contour_weight: 0.0,
         contour_outside_px: 1.0,
         contour_inside_px: 1.0,
+        shape_weight: 1.0,
     }
 }
 

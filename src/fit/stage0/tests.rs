@@ -177,9 +177,24 @@ fn masks_tell_the_girth() {
     let clip = clip(&body, &how);
     let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
     let errors = errors(&body, &clip, &result);
-    assert!((result.betas[1] - 1.0).abs() < 0.25, "{:?}", result.betas);
+    // Masks may be of clothes, so the fit stays on the slim side.
+    assert!((0.5..1.1).contains(&result.betas[1]), "{:?}", result.betas);
     assert!(result.report.mask_iou > 0.95, "{}", result.report.mask_iou);
     assert!(errors.scaled < 0.02, "{errors:?}");
+}
+
+#[test]
+fn a_measured_height_sets_the_size() {
+    let body = Body::test_body();
+    let how = Difficulty { frames: 12, betas: vec![1.8, 0.0, 0.2], seed: 14, ..Difficulty::default() };
+    let clip = clip(&body, &how);
+    let shaped = body.shaped_vertices(&[1.8, 0.0, 0.2]);
+    let ys = || shaped.iter().map(|v| f64::from(v[1]));
+    let height_m = Some(ys().fold(f64::MIN, f64::max) - ys().fold(f64::MAX, f64::min));
+    let options = Stage0Options { use_masks: false, height_m, ..Stage0Options::default() };
+    let result = solve(&body, &clip.capture, &options, &mut |_| true).unwrap();
+    let errors = errors(&body, &clip, &result);
+    assert!(errors.joints < 0.035, "{errors:?} {:?}", result.betas);
 }
 
 #[test]
@@ -217,7 +232,7 @@ fn given_poses_are_kept_and_give_the_shape() {
     let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
     let errors = errors(&body, &clip, &result);
     assert!(errors.joints < 0.015, "{errors:?} {:?}", result.betas);
-    assert!((result.betas[1] - 0.8).abs() < 0.25, "{:?}", result.betas);
+    assert!((0.4..0.9).contains(&result.betas[1]), "{:?}", result.betas);
     let poses = &mut clip.capture.poses.as_mut().unwrap().poses;
     poses[4].pop();
     let error = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap_err();
