@@ -179,7 +179,7 @@ fn masks_tell_the_girth() {
     let errors = errors(&body, &clip, &result);
     // Masks may be of clothes, so the fit stays on the slim side.
     assert!((0.5..1.1).contains(&result.betas[1]), "{:?}", result.betas);
-    assert!(result.report.mask_iou > 0.95, "{}", result.report.mask_iou);
+    assert!(result.report.mask_iou > 0.9, "{}", result.report.mask_iou);
     assert!(errors.scaled < 0.02, "{errors:?}");
 }
 
