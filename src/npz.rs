@@ -31,6 +31,11 @@ impl Array {
         Self { shape: shape.to_vec(), data }
     }
 
+    /// An array whose data has the first axis running fastest.
+    pub fn from_fortran(shape: &[usize], data: &[f64]) -> Self {
+        Self::new(shape, to_c_order(shape, data))
+    }
+
     pub fn f32(&self) -> Vec<f32> {
         self.data.iter().map(|&x| x as f32).collect()
     }

@@ -143,6 +143,13 @@ fn left_limbs() -> [Tube; 3] {
     ]
 }
 
+/// A tube's faces, their texture corners, and the corners' places.
+struct TubeFaces {
+    faces: Vec<[u32; 3]>,
+    uv_faces: Vec<[u32; 3]>,
+    uvs: Vec<[f32; 2]>,
+}
+
 impl Tube {
     fn n_vertices(&self) -> usize {
         (self.stations.len() - 2) * self.segments + 2
@@ -203,7 +210,7 @@ impl Tube {
 
     /// Faces with their texture corners and the corners themselves. The texture's columns are the segments with the
     /// first repeated at the seam; a pole has one corner a segment.
-    fn faces(&self, chart: [f32; 4]) -> (Vec<[u32; 3]>, Vec<[u32; 3]>, Vec<[f32; 2]>) {
+    fn faces(&self, chart: [f32; 4]) -> TubeFaces {
         let (n, rings) = (self.segments, self.stations.len() - 2);
         let margin = 0.01;
         let corner = |column: f32, row: usize| {
@@ -235,7 +242,7 @@ impl Tube {
             let r = rings - 1;
             push([self.last_pole(), v(r, k + 1), v(r, k)], [pole(1, k), at(r, k + 1), at(r, k)]);
         }
-        (faces, uv_faces, uvs)
+        TubeFaces { faces, uv_faces, uvs }
     }
 }
 
@@ -281,7 +288,7 @@ impl Body {
         let [u, v, width, height] = tube.chart;
         let chart = if right { [u + width, v, width, height] } else { tube.chart };
         let first_uv = self.uvs.len() as u32;
-        let (faces, uv_faces, uvs) = tube.faces(chart);
+        let TubeFaces { faces, uv_faces, uvs } = tube.faces(chart);
         let turn = |[a, b, c]: [u32; 3]| if right { [a, c, b] } else { [a, b, c] };
         self.faces.extend(faces.into_iter().map(|f| turn(f).map(|i| i + first)));
         self.uv_faces.extend(uv_faces.into_iter().map(|f| turn(f).map(|i| i + first_uv)));

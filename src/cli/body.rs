@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use effigy::body::Body;
 use effigy::body::import::{ImportOptions, import};
 use effigy::data_dir::body_path;
@@ -69,6 +69,7 @@ pub fn run(args: Args) -> Result<()> {
 /// A body by its file or its name.
 fn load(body: &str) -> Result<Body> {
     let path = if Path::new(body).is_file() { PathBuf::from(body) } else { body_path(body) };
+    ensure!(path.is_file(), "no body `{body}` (nor {}); `effigy body import` makes one", path.display());
     Body::load(&path).with_context(|| path.display().to_string())
 }
 

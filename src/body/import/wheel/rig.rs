@@ -153,8 +153,8 @@ pub(super) fn repose(
             let (joint, weight) = (joint as usize, f64::from(weight));
             linear += weight * (zero.rotations[joint] * point + shifts[joint]);
             // No joint turns by more than a right angle here, so all quaternions lie in one hemisphere.
-            real = real + zero.rotations[joint] * weight;
-            dual = dual + duals[joint] * weight;
+            real += zero.rotations[joint] * weight;
+            dual += duals[joint] * weight;
         }
         let (dual, real) = (dual * real.length().recip(), real.normalize());
         let shift = dual * real.conjugate() * 2.0;

@@ -46,7 +46,7 @@ impl Surface {
     pub(super) fn build(mesh: &BaseMesh) -> Result<Self, ImportError> {
         let hidden = |quad: &[Corner; 4]| quad.iter().all(|(v, _)| mesh.in_cavity[*v as usize]);
         let (cavities, visible): (Vec<_>, Vec<_>) = mesh.quads.iter().partition(|quad| hidden(quad));
-        let (left_eye, right_eye, mouth) = rims(mesh, &cavities)?;
+        let [left_eye, right_eye, mouth] = rims(mesh, &cavities)?;
         // The layout has no seam at the rims, so a rim's vertex has one texture corner.
         let corner_of: HashMap<u32, u32> = cavities.iter().copied().flatten().copied().collect();
 
@@ -181,7 +181,7 @@ fn split(mesh: &BaseMesh, quad: &[Corner; 4]) -> [[Corner; 3]; 2] {
 
 /// The cavities' rims: left eye, right eye (the mirrored left one, backwards), mouth; each in the direction in which
 /// the cavity's own faces pass it, which is counter-clockwise for what covers it.
-fn rims(mesh: &BaseMesh, cavities: &[&[Corner; 4]]) -> Result<(Vec<u32>, Vec<u32>, Vec<u32>), ImportError> {
+fn rims(mesh: &BaseMesh, cavities: &[&[Corner; 4]]) -> Result<[Vec<u32>; 3], ImportError> {
     let edges: HashSet<(u32, u32)> =
         cavities.iter().flat_map(|quad| (0..4).map(|i| (quad[i].0, quad[(i + 1) % 4].0))).collect();
     let next: HashMap<u32, u32> = edges.iter().copied().filter(|&(a, b)| !edges.contains(&(b, a))).collect();
@@ -211,7 +211,7 @@ fn rims(mesh: &BaseMesh, cavities: &[&[Corner; 4]]) -> Result<(Vec<u32>, Vec<u32
         let reason = format!("rims of {}, {} and {} vertices", left.len(), right.len(), mouth.len());
         return Err(bad("internal cavities", format!("{reason}, expected two mirrored eyes and a mouth")));
     }
-    Ok((left, mirrored, mouth))
+    Ok([left, mirrored, mouth])
 }
 
 /// Triangles between the upper and the lower half of a rim, from corner to corner.
@@ -238,4 +238,45 @@ fn sew(mesh: &BaseMesh, rim: &[u32]) -> Vec<[u32; 3]> {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::TAU;
+
+    use super::*;
+
+    /// A rim of `n` vertices on an ellipse, counter-clockwise seen from +Z.
+    fn ellipse(n: usize) -> (BaseMesh, Vec<u32>) {
+        let angle = |i: usize| TAU * i as f32 / n as f32;
+        let vertices: Vec<[f32; 3]> = (0..n).map(|i| [3.0 * angle(i).cos(), angle(i).sin(), 0.0]).collect();
+        let in_cavity = vec![true; n];
+        let mirror = Vec::new();
+        (BaseMesh { vertices, in_cavity, mirror, ..BaseMesh::default() }, (0..n as u32).collect())
+    }
+
+    #[test]
+    fn a_sewn_rim_is_covered_once_by_faces_that_look_outward() {
+        for (n, start) in [(8, 0), (9, 2), (38, 11)] {
+            let (mesh, mut rim) = ellipse(n);
+            rim.rotate_left(start);
+            let triangles = sew(&mesh, &rim);
+            assert_eq!(triangles.len(), n - 2);
+            let area = |t: &[u32; 3]| {
+                let [a, b, c] = t.map(|v| Vec2::new(mesh.vertices[v as usize][0], mesh.vertices[v as usize][1]));
+                (b - a).perp_dot(c - a) / 2.0
+            };
+            assert!(triangles.iter().all(|t| area(t) > 0.0), "{n} vertices");
+            let polygon = 3.0 * n as f32 / 2.0 * (TAU / n as f32).sin();
+            assert!((triangles.iter().map(area).sum::<f32>() - polygon).abs() < 1e-4, "{n} vertices");
+        }
+    }
+
+    #[test]
+    fn a_cavity_without_two_eyes_and_a_mouth_is_refused() {
+        let (mesh, rim) = ellipse(8);
+        let quad = [rim[0], rim[2], rim[4], rim[6]].map(|v| (v, v));
+        let error = rims(&mesh, &[&quad]).unwrap_err().to_string();
+        assert!(error.contains("expected two mirrored eyes and a mouth"), "{error}");
+    }
 }
