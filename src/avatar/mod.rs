@@ -1,1 +1,27 @@
-//! (to come)
+//! The result of a fit: a textured, rigged body that can be posed, rendered, baked and exported.
+//!
+//! [`AvatarModel`] holds everything; [`Renderer`] draws it in any pose from its hash texture; [`bake`] turns the texture
+//! into an atlas; [`write_glb`], [`write_motion`] and [`ply`] write what users take away.
+
+mod atlas;
+mod gltf;
+mod model;
+mod motion;
+pub mod ply;
+mod pose;
+mod render;
+#[cfg(test)]
+pub(crate) mod testing;
+mod texture;
+mod trace;
+mod video;
+
+pub use atlas::{BakeError, UvLayout, bake};
+pub use gltf::{Texture, write_glb};
+pub use model::{AvatarModel, ModelError};
+pub use motion::write_motion;
+pub use pose::{Pose, vertex_normals};
+pub use render::{Background, Light, Place, RenderError, RenderSpec, Renderer};
+pub use texture::SurfaceTexture;
+pub use trace::{MAX_SIDE_PX, Picture, SurfacePoint, Tracer};
+pub use video::{Quality, VideoError, VideoWriter};

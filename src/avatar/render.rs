@@ -1,0 +1,258 @@
+//! Pictures of the avatar in any pose, from any camera, at any size; shaded from the hash texture for every sample.
+
+use std::sync::Arc;
+
+use image::{GrayImage, RgbaImage};
+
+use super::AvatarModel;
+use super::pose::Pose;
+use super::texture::SurfaceTexture;
+use super::trace::{MAX_SIDE_PX, Picture, Tracer};
+use crate::camera::Camera;
+use crate::gpu::{Gpu, GpuError};
+use crate::ops::skinning::cpu::forward;
+use crate::ops::texture_field::TextureFieldError;
+
+/// Where the person stands, world space, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Place {
+    /// SMPL's `transl`: the pelvis ends at `J0(β) + transl`.
+    Transl([f32; 3]),
+    /// The position of the pelvis joint.
+    Pelvis([f32; 3]),
+}
+
+/// What lies behind the person.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub enum Background {
+    #[default]
+    Transparent,
+    /// sRGB
+    Colour([u8; 3]),
+}
+
+/// The light of a picture. The texture holds the light that it was captured in, so both give the same until an avatar
+/// carries a light of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Light {
+    #[default]
+    Captured,
+    None,
+}
+
+/// A picture to render.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderSpec {
+    pub pose: Pose,
+    pub place: Place,
+    /// The avatar's own where absent; missing ones count as zero.
+    pub betas: Option<Vec<f32>>,
+    /// Size, intrinsics, world to camera, lens.
+    pub camera: Camera,
+    pub background: Background,
+    pub light: Light,
+    /// Samples along a pixel's side, 1 to 8: coverage and texture are means over their square.
+    pub samples: u32,
+}
+
+impl RenderSpec {
+    /// Captured frame `k` (an index into `frames`) as the capture's camera saw it, 3×3 samples a pixel, transparent.
+    ///
+    /// # Panics
+    /// When there is no such frame.
+    pub fn of_frame(model: &AvatarModel, k: usize) -> Self {
+        Self {
+            pose: model.poses[k],
+            place: Place::Transl(model.transl[k]),
+            betas: None,
+            camera: model.camera.clone(),
+            background: Background::Transparent,
+            light: Light::Captured,
+            samples: 3,
+        }
+    }
+
+    fn check(&self, model: &AvatarModel) -> Result<(), RenderError> {
+        let invalid = |what: String| Err(RenderError::Invalid(what));
+        let camera = &self.camera;
+        if !(1..=MAX_SIDE_PX).contains(&camera.width) || !(1..=MAX_SIDE_PX).contains(&camera.height) {
+            let (w, h) = (camera.width, camera.height);
+            return invalid(format!("camera: a picture of {w}×{h} px, expected 1 to {MAX_SIDE_PX} a side"));
+        }
+        let focal = |f: f64| f.is_finite() && f > 0.0;
+        if !focal(camera.fx) || !focal(camera.fy) {
+            return invalid(format!("camera: fx {} and fy {}, expected positive", camera.fx, camera.fy));
+        }
+        let numbers = [camera.cx, camera.cy];
+        let numbers = numbers.iter().chain(&camera.distortion).chain(&camera.rotation).chain(&camera.translation);
+        if numbers.into_iter().any(|x| !x.is_finite()) {
+            return invalid("camera: a value is not finite".to_owned());
+        }
+        let (Place::Transl(place) | Place::Pelvis(place)) = self.place;
+        if self.pose.iter().chain(&place).any(|x| !x.is_finite()) {
+            return invalid("pose: a value is not finite".to_owned());
+        }
+        if let Some(betas) = &self.betas
+            && (betas.len() > model.body.n_betas || betas.iter().any(|b| !b.is_finite()))
+        {
+            return invalid(format!("betas: {} values, expected at most {}, finite", betas.len(), model.body.n_betas));
+        }
+        if !(1..=8).contains(&self.samples) {
+            return invalid(format!("samples: {}, expected 1 to 8", self.samples));
+        }
+        Ok(())
+    }
+}
+
+/// Why a picture could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// The request cannot be met; says which part and what was expected.
+    #[error("{0}")]
+    Invalid(String),
+    #[error(transparent)]
+    Texture(#[from] TextureFieldError),
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+}
+
+/// An avatar on the device, ready to be drawn.
+pub struct Renderer {
+    gpu: Arc<Gpu>,
+    model: Arc<AvatarModel>,
+    tracer: Tracer,
+    texture: SurfaceTexture,
+}
+
+impl Renderer {
+    pub fn new(gpu: &Arc<Gpu>, model: &Arc<AvatarModel>) -> Result<Self, RenderError> {
+        Ok(Self {
+            tracer: Tracer::new(gpu, &model.body.faces, model.body.n_vertices()),
+            texture: SurfaceTexture::new(gpu, model)?,
+            gpu: gpu.clone(),
+            model: model.clone(),
+        })
+    }
+
+    pub fn model(&self) -> &Arc<AvatarModel> {
+        &self.model
+    }
+
+    pub fn texture(&self) -> &SurfaceTexture {
+        &self.texture
+    }
+
+    pub fn gpu(&self) -> &Arc<Gpu> {
+        &self.gpu
+    }
+
+    /// The picture at the camera's size: straight alpha where the background is transparent. Waits.
+    pub fn render(&self, spec: &RenderSpec) -> Result<RgbaImage, RenderError> {
+        let picture = self.draw(spec, |points| self.texture.colours(&self.gpu, points))?;
+        Ok(match spec.background {
+            Background::Transparent => picture.transparent(),
+            Background::Colour(rgb) => picture.over(|_, _| rgb),
+        })
+    }
+
+    /// The person's coverage of each pixel, 0 to 255, without shading. Waits.
+    pub fn mask(&self, spec: &RenderSpec) -> Result<GrayImage, RenderError> {
+        Ok(self.draw(spec, |points| Ok(vec![[0.0; 3]; points.len()]))?.coverage())
+    }
+
+    fn draw(
+        &self,
+        spec: &RenderSpec,
+        colour: impl FnMut(&[super::SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError>,
+    ) -> Result<Picture, RenderError> {
+        spec.check(&self.model)?;
+        let model = &self.model;
+        let betas = spec.betas.as_deref().unwrap_or(&model.betas);
+        let transl = match spec.place {
+            Place::Transl(transl) => transl,
+            Place::Pelvis(pelvis) => {
+                let at = model.body.shaped_joints(betas)[0];
+                std::array::from_fn(|k| pelvis[k] - at[k])
+            }
+        };
+        let posed = forward(&model.body, betas, Some(&model.offsets), &spec.pose, transl);
+        Ok(self.tracer.trace(&posed.vertices, &spec.camera, spec.samples, colour)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::avatar::testing::{camera, turning_avatar};
+    use crate::ops::testing::gpu;
+    use crate::ops::texture_field;
+
+    fn renderer(test: &str) -> Option<Renderer> {
+        Some(Renderer::new(&gpu(test)?, &Arc::new(turning_avatar())).unwrap())
+    }
+
+    #[test]
+    fn the_pelvis_and_the_translation_name_the_same_place() {
+        let Some(renderer) = renderer("render::the_pelvis_and_the_translation_name_the_same_place") else { return };
+        let model = renderer.model().clone();
+        let by_transl = RenderSpec { samples: 1, ..RenderSpec::of_frame(&model, 1) };
+        let pelvis = model.posed(&model.poses[1], model.transl[1]).joints[0];
+        let by_pelvis = RenderSpec { place: Place::Pelvis(pelvis), ..by_transl.clone() };
+        let (a, b) = (renderer.render(&by_transl).unwrap(), renderer.render(&by_pelvis).unwrap());
+        let covered = a.pixels().filter(|p| p.0[3] == 255).count();
+        assert!(covered > 500, "{covered} pixels show the person");
+        let differing = a.pixels().zip(b.pixels()).filter(|(a, b)| a != b).count();
+        assert!(differing <= covered / 100, "{differing} pixels differ");
+    }
+
+    #[test]
+    fn each_sample_has_the_colour_of_the_reference_field() {
+        let Some(renderer) = renderer("render::each_sample_has_the_colour_of_the_reference_field") else { return };
+        let model = renderer.model();
+        let points: Vec<_> =
+            (0..200).map(|i| crate::avatar::SurfacePoint { face: i * 5, bary: [0.2, 0.5, 0.3] }).collect();
+        let ours = renderer.texture().colours(renderer.gpu(), &points).unwrap();
+        for (point, rgb) in points.iter().zip(ours) {
+            let corners = model.body.faces[point.face as usize].map(|v| model.texcoords[v as usize]);
+            let coord: [f32; 3] = std::array::from_fn(|k| (0..3).map(|c| point.bary[c] * corners[c][k]).sum());
+            let want = texture_field::cpu::forward(&model.texture_config, &model.texture, &coord);
+            for k in 0..3 {
+                assert!((rgb[k] - want[k]).abs() < 1e-4, "{point:?}: {rgb:?}, expected {want:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn betas_of_a_request_change_the_size_of_the_person() {
+        let Some(renderer) = renderer("render::betas_of_a_request_change_the_size_of_the_person") else { return };
+        let spec = RenderSpec { samples: 1, ..RenderSpec::of_frame(renderer.model(), 0) };
+        let covered = |betas: Vec<f32>| {
+            let mask = renderer.mask(&RenderSpec { betas: Some(betas), ..spec.clone() }).unwrap();
+            mask.pixels().filter(|p| p.0[0] > 0).count()
+        };
+        assert!(covered(vec![2.0]) as f64 > 1.1 * covered(vec![-2.0]) as f64);
+    }
+
+    #[test]
+    fn what_cannot_be_rendered_is_refused_by_name() {
+        let Some(renderer) = renderer("render::what_cannot_be_rendered_is_refused_by_name") else { return };
+        let good = RenderSpec::of_frame(renderer.model(), 0);
+        let with = |camera: Camera| RenderSpec { camera, ..good.clone() };
+        let mut nan = good.clone();
+        nan.pose[3] = f32::NAN;
+        let cases = [
+            (with(Camera { width: 0, ..camera(8) }), "0×8 px"),
+            (with(Camera { height: 100_000, ..camera(8) }), "100000 px"),
+            (with(Camera { fx: 0.0, ..camera(8) }), "fx 0"),
+            (with(Camera { cx: f64::NAN, ..camera(8) }), "camera"),
+            (nan, "pose"),
+            (RenderSpec { betas: Some(vec![0.0; 9]), ..good.clone() }, "betas: 9 values, expected at most 3"),
+            (RenderSpec { samples: 0, ..good.clone() }, "samples"),
+        ];
+        for (spec, want) in cases {
+            let error = renderer.render(&spec).unwrap_err().to_string();
+            assert!(error.contains(want), "`{error}` does not say `{want}`");
+        }
+    }
+}

@@ -1,0 +1,47 @@
+//! A made avatar for tests: the test body, turning, with a random texture.
+
+use super::AvatarModel;
+use crate::body::Body;
+use crate::camera::Camera;
+use crate::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
+
+/// A camera that sees the test body whole at 3 m.
+pub(crate) fn camera(side: u32) -> Camera {
+    let side_px = f64::from(side);
+    Camera::pinhole(side, side, [1.4 * side_px, 1.4 * side_px, 0.5 * side_px, 0.5 * side_px])
+}
+
+/// Five frames (every second of the video) of a turn before the camera, with bent arms and a shape of its own.
+pub(crate) fn turning_avatar() -> AvatarModel {
+    let body = Body::test_body();
+    let texture_config =
+        TextureFieldConfig { n_levels: 4, log2_hashmap_size: 10, hidden_width: 16, ..Default::default() };
+    let mut texture = TextureFieldParams::random(&texture_config, 5);
+    texture.table.iter_mut().for_each(|x| *x *= 1e4);
+    let n = 5;
+    let poses = (0..n).map(|i| {
+        let mut pose = [0.0; 72];
+        // Half a turn about x (camera space runs down) after the turn about the body's own y.
+        let turn = glam::Quat::from_rotation_x(std::f32::consts::PI) * glam::Quat::from_rotation_y(1.3 * i as f32);
+        pose[..3].copy_from_slice(&turn.to_scaled_axis().to_array());
+        pose[16 * 3 + 2] = -1.0 + 0.1 * i as f32;
+        pose[17 * 3 + 2] = 1.0;
+        pose[18 * 3 + 1] = -0.2 * i as f32;
+        pose[4 * 3] = 0.3 * i as f32;
+        pose
+    });
+    AvatarModel {
+        betas: vec![0.4, -0.3, 0.2],
+        offsets: body.v_template.iter().map(|v| [0.01 * v[0], 0.0, 0.02]).collect(),
+        texcoords: body.v_template.iter().map(|v| v.map(|x| 0.5 + 0.5 * x)).collect(),
+        texture_config,
+        texture,
+        face_colours: vec![[0.5, 0.25, 0.75]; body.n_faces()],
+        poses: poses.collect(),
+        transl: (0..n).map(|i| [0.02 * i as f32, 0.1, 3.0]).collect(),
+        frames: (0..n).map(|i| 2 * i).collect(),
+        fps: 30.0,
+        camera: camera(128),
+        body,
+    }
+}

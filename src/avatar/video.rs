@@ -1,0 +1,84 @@
+//! Pictures into a video file, through the system's FFmpeg.
+
+use std::io::Write;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use image::RgbImage;
+
+/// Why no video was written.
+#[derive(Debug, thiserror::Error)]
+pub enum VideoError {
+    #[error("ffmpeg could not be started: {0}")]
+    Start(std::io::Error),
+    #[error("a picture of {got:?} px in a video of {want:?} px")]
+    Size { got: (u32, u32), want: (u32, u32) },
+    #[error("ffmpeg failed: {0}")]
+    Failed(String),
+}
+
+/// H.264 in MP4, full chroma or 4:2:0, one picture after another.
+pub struct VideoWriter {
+    child: Child,
+    size: (u32, u32),
+}
+
+/// How colours are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quality {
+    /// 4:2:0, which every player shows; needs even sides.
+    Playable,
+    /// 4:4:4, nearly lossless.
+    Fine,
+}
+
+impl VideoWriter {
+    /// Starts FFmpeg; `path` is overwritten.
+    pub fn create(path: &Path, size: (u32, u32), fps: f64, quality: Quality) -> Result<Self, VideoError> {
+        let (format, crf) = match quality {
+            Quality::Playable => ("yuv420p", "18"),
+            Quality::Fine => ("yuv444p", "12"),
+        };
+        let input = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s"];
+        let child = Command::new("ffmpeg")
+            .args(["-v", "error", "-y"])
+            .args(input)
+            .args([&format!("{}x{}", size.0, size.1), "-r", &fps.to_string(), "-i", "-"])
+            .args(["-c:v", "libx264", "-preset", "medium", "-crf", crf, "-pix_fmt", format, "-movflags", "+faststart"])
+            .arg(path)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(VideoError::Start)?;
+        Ok(Self { child, size })
+    }
+
+    pub fn push(&mut self, image: &RgbImage) -> Result<(), VideoError> {
+        if image.dimensions() != self.size {
+            return Err(VideoError::Size { got: image.dimensions(), want: self.size });
+        }
+        // A broken pipe means that FFmpeg ended: `finish` says why.
+        let broken = || VideoError::Failed("it stopped reading pictures".to_owned());
+        self.child.stdin.as_mut().ok_or_else(broken)?.write_all(image.as_raw()).map_err(|_| broken())
+    }
+
+    /// Waits for the file to be whole.
+    pub fn finish(mut self) -> Result<(), VideoError> {
+        drop(self.child.stdin.take());
+        let mut complaint = String::new();
+        if let Some(mut stderr) = self.child.stderr.take() {
+            let _ = std::io::Read::read_to_string(&mut stderr, &mut complaint);
+        }
+        let status = self.child.wait().map_err(|e| VideoError::Failed(e.to_string()))?;
+        if status.success() { Ok(()) } else { Err(VideoError::Failed(complaint.trim().to_owned())) }
+    }
+}
+
+impl Drop for VideoWriter {
+    fn drop(&mut self) {
+        // After `finish` the child is gone and this does nothing.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,47 @@
+//! `effigy eval`: an avatar against a folder of truth.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use effigy::avatar::{AvatarModel, Renderer};
+use effigy::eval::{Subject, evaluate};
+use effigy::gpu::{DeviceSelect, Gpu};
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// The truth: novel/, truth/, masks.zip as `effigy synth` lays them out.
+    folder: PathBuf,
+    /// The avatar: `model.npz` of a job or of `effigy fit`.
+    #[arg(long)]
+    model: PathBuf,
+    /// Print the report as JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+    /// Folder for `eval.json` and the pictures: truth, ours, absolute error.
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+pub fn run(args: Args) -> Result<()> {
+    let model = AvatarModel::load(&args.model).with_context(|| args.model.display().to_string())?;
+    let subject = Subject::open(&args.folder)?;
+    if let Some(out) = &args.out {
+        std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    }
+    let renderer = Renderer::new(&Gpu::open(&DeviceSelect::Auto)?, &Arc::new(model))?;
+    let spinner = super::spinner();
+    let report = evaluate(&renderer, &subject, args.out.as_deref(), |what| spinner.set_message(what.to_owned()))?;
+    spinner.finish_and_clear();
+    let json = serde_json::to_string_pretty(&report)?;
+    if let Some(out) = &args.out {
+        std::fs::write(out.join("eval.json"), &json)?;
+    }
+    if args.json {
+        println!("{json}");
+    } else {
+        print!("{}", report.table());
+        report.warnings.iter().for_each(|warning| println!("note: {warning}"));
+    }
+    Ok(())
+}

@@ -1,0 +1,170 @@
+//! `effigy render`: pictures of an avatar in given poses, and turntables.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, Result, bail};
+use effigy::avatar::{
+    AvatarModel, Background, Light, Place, Pose, Quality, RenderSpec, Renderer, VideoError, VideoWriter,
+};
+use effigy::camera::Camera;
+use effigy::gpu::{DeviceSelect, Gpu};
+use effigy::npz::Npz;
+use glam::{Quat, Vec3};
+use image::{DynamicImage, RgbaImage};
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// The avatar: `model.npz` of a job or of `effigy fit`.
+    #[arg(long)]
+    model: PathBuf,
+    /// Poses to render: npz with `poses [N, 72]` and `trans [N, 3]` (SMPL's transl) or `pelvis [N, 3]`.
+    #[arg(long, conflicts_with_all = ["frame", "turntable"])]
+    poses: Option<PathBuf>,
+    /// Read `trans` of the poses as the position of the pelvis joint.
+    #[arg(long, requires = "poses")]
+    trans_is_pelvis: bool,
+    /// A frame of the captured video; the nearest kept one is rendered.
+    #[arg(long, conflicts_with = "turntable")]
+    frame: Option<u32>,
+    /// Pictures of one whole turn of the first captured pose, and `turntable.mp4`.
+    #[arg(long)]
+    turntable: Option<u32>,
+    /// Camera as JSON; by default the capture's.
+    #[arg(long)]
+    camera: Option<PathBuf>,
+    /// Resize the camera so that its longer side has this many pixels.
+    #[arg(long)]
+    size: Option<u32>,
+    /// `transparent` or `#rrggbb`.
+    #[arg(long, default_value = "transparent", value_parser = background)]
+    background: Background,
+    /// Samples along a pixel's side.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=8))]
+    samples: u32,
+    /// Folder for the pictures.
+    #[arg(long)]
+    out: PathBuf,
+}
+
+fn background(text: &str) -> Result<Background, String> {
+    if text == "transparent" {
+        return Ok(Background::Transparent);
+    }
+    let digits = text.strip_prefix('#').filter(|d| d.len() == 6);
+    let value = digits.and_then(|d| u32::from_str_radix(d, 16).ok());
+    let value = value.ok_or_else(|| format!("`{text}` is neither `transparent` nor `#rrggbb`"))?;
+    Ok(Background::Colour([(value >> 16) as u8, (value >> 8) as u8, value as u8]))
+}
+
+pub fn run(args: Args) -> Result<()> {
+    let model = AvatarModel::load(&args.model).with_context(|| args.model.display().to_string())?;
+    let camera = camera(&args, &model)?;
+    let shots = shots(&args, &model)?;
+    std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
+    let renderer = Renderer::new(&Gpu::open(&DeviceSelect::Auto)?, &Arc::new(model))?;
+    let bar = super::progress(shots.len() as u64, "pictures");
+    let mut film = args.turntable.map(|n| Film::start(&args.out, &camera, n)).transpose()?;
+    for (name, pose, place) in shots {
+        let image = renderer.render(&RenderSpec {
+            pose,
+            place,
+            betas: None,
+            camera: camera.clone(),
+            background: args.background,
+            light: Light::Captured,
+            samples: args.samples,
+        })?;
+        let path = args.out.join(format!("{name}.png"));
+        image.save(&path).with_context(|| path.display().to_string())?;
+        if let Some(film) = &mut film {
+            film.push(&image)?;
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    film.map(Film::finish).transpose()?;
+    println!("wrote {}", args.out.display());
+    Ok(())
+}
+
+fn camera(args: &Args, model: &AvatarModel) -> Result<Camera> {
+    let mut camera = match &args.camera {
+        None => model.camera.clone(),
+        Some(path) => {
+            let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+            serde_json::from_slice(&bytes).with_context(|| path.display().to_string())?
+        }
+    };
+    if let Some(size) = args.size {
+        let scale = size as f64 / camera.width.max(camera.height) as f64;
+        let side = |s: u32| ((s as f64 * scale).round() as u32).max(1);
+        (camera.width, camera.height) = (side(camera.width), side(camera.height));
+        for value in [&mut camera.fx, &mut camera.fy, &mut camera.cx, &mut camera.cy] {
+            *value *= scale;
+        }
+    }
+    Ok(camera)
+}
+
+type Shot = (String, Pose, Place);
+
+fn shots(args: &Args, model: &AvatarModel) -> Result<Vec<Shot>> {
+    if let Some(path) = &args.poses {
+        return poses(path, args.trans_is_pelvis).with_context(|| path.display().to_string());
+    }
+    if let Some(n) = args.turntable {
+        return Ok(turntable(model, n));
+    }
+    let Some(frame) = args.frame else { bail!("say what to render: --poses, --frame or --turntable") };
+    let k = model.nearest_frame(frame);
+    Ok(vec![(format!("frame_{:04}", model.frames[k]), model.poses[k], Place::Transl(model.transl[k]))])
+}
+
+fn poses(path: &Path, trans_is_pelvis: bool) -> Result<Vec<Shot>> {
+    let npz = Npz::open(path)?;
+    let poses = npz.shaped("poses", &[usize::MAX, 72])?;
+    let n = poses.shape[0];
+    let is_pelvis = npz.arrays.contains_key("pelvis");
+    let places = npz.shaped(if is_pelvis { "pelvis" } else { "trans" }, &[n, 3])?.f32();
+    let place = |at| if is_pelvis || trans_is_pelvis { Place::Pelvis(at) } else { Place::Transl(at) };
+    let rows = poses.f32().as_chunks::<72>().0.to_vec().into_iter().zip(places.as_chunks().0.to_vec());
+    Ok(rows.enumerate().map(|(i, (pose, at))| (format!("pose_{i:04}"), pose, place(at))).collect())
+}
+
+/// The first captured pose, turned about the body's own axis; the pelvis stays where it was.
+fn turntable(model: &AvatarModel, n: u32) -> Vec<Shot> {
+    let pelvis = model.posed(&model.poses[0], model.transl[0]).joints[0];
+    let root = Quat::from_scaled_axis(Vec3::from_slice(&model.poses[0][..3]));
+    let shot = |i| {
+        let turned = root * Quat::from_rotation_y(std::f32::consts::TAU * i as f32 / n as f32);
+        let mut pose = model.poses[0];
+        pose[..3].copy_from_slice(&turned.to_scaled_axis().to_array());
+        (format!("turn_{i:04}"), pose, Place::Pelvis(pelvis))
+    };
+    (0..n).map(shot).collect()
+}
+
+/// `turntable.mp4`: one turn in four seconds, on white where the pictures are transparent.
+struct Film {
+    writer: VideoWriter,
+    even: (u32, u32),
+}
+
+impl Film {
+    fn start(out: &Path, camera: &Camera, n: u32) -> Result<Self, VideoError> {
+        let even = ((camera.width & !1).max(2), (camera.height & !1).max(2));
+        let writer = VideoWriter::create(&out.join("turntable.mp4"), even, n as f64 / 4.0, Quality::Playable)?;
+        Ok(Self { writer, even })
+    }
+
+    fn push(&mut self, image: &RgbaImage) -> Result<(), VideoError> {
+        let mut opaque = image::RgbaImage::from_pixel(self.even.0, self.even.1, image::Rgba([255; 4]));
+        image::imageops::overlay(&mut opaque, image, 0, 0);
+        self.writer.push(&DynamicImage::ImageRgba8(opaque).into_rgb8())
+    }
+
+    fn finish(self) -> Result<(), VideoError> {
+        self.writer.finish()
+    }
+}

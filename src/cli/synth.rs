@@ -1,0 +1,61 @@
+//! `effigy synth`: a made clip of a clothed person, with truth.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use effigy::body::Body;
+use effigy::data_dir::body_path;
+use effigy::eval::{SynthOptions, synthesise};
+use effigy::gpu::{DeviceSelect, Gpu};
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// A body's name in the data folder, its file, or `test` for the small built-in one.
+    #[arg(long, default_value = "default")]
+    body: String,
+    /// Folder for the clip.
+    #[arg(long)]
+    out: PathBuf,
+    #[arg(long, default_value_t = SynthOptions::default().frames)]
+    frames: usize,
+    /// Width and height in pixels.
+    #[arg(long, default_value_t = SynthOptions::default().size_px)]
+    size: u32,
+    #[arg(long, default_value_t = SynthOptions::default().fps)]
+    fps: f64,
+    /// Decides shape, clothes, colours and noise.
+    #[arg(long, default_value_t = SynthOptions::default().seed)]
+    seed: u64,
+    /// Standard deviation of the keypoints at 540 pixels.
+    #[arg(long, default_value_t = SynthOptions::default().keypoint_noise_px)]
+    keypoint_noise: f64,
+    /// Frames with a truth surface, novel views and novel poses, each at most.
+    #[arg(long, default_value_t = SynthOptions::default().truths)]
+    truths: usize,
+}
+
+fn body(name: &str) -> Result<Body> {
+    if name == "test" {
+        return Ok(Body::test_body());
+    }
+    let path = if Path::new(name).is_file() { PathBuf::from(name) } else { body_path(name) };
+    Body::load(&path).with_context(|| format!("{}: import a body first (`effigy body import`)", path.display()))
+}
+
+pub fn run(args: Args) -> Result<()> {
+    let options = SynthOptions {
+        frames: args.frames,
+        size_px: args.size,
+        seed: args.seed,
+        fps: args.fps,
+        keypoint_noise_px: args.keypoint_noise,
+        truths: args.truths,
+    };
+    let body = body(&args.body)?;
+    let gpu = Gpu::open(&DeviceSelect::Auto)?;
+    let bar = super::progress(args.frames as u64, "frames");
+    synthesise(&gpu, &body, &options, &args.out, |done, _| bar.set_position(done as u64))?;
+    bar.finish_and_clear();
+    println!("wrote {}", args.out.display());
+    Ok(())
+}

@@ -1,0 +1,210 @@
+//! Distances between two surfaces and their alignment. docs/metrics.md states the definitions for users.
+
+use glam::{DMat3, DVec3};
+use rand::{RngExt, SeedableRng};
+
+use super::nearest::Surface;
+use crate::avatar::ply::Mesh;
+
+/// Points sampled on each surface.
+const SAMPLES: usize = 20_000;
+
+/// Points on each surface and rounds of the alignment.
+const ALIGN_SAMPLES: usize = 4_000;
+const ALIGN_ROUNDS: usize = 30;
+
+/// A similarity: `x ↦ scale · rotation · x + translation`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Similarity {
+    pub scale: f64,
+    pub rotation: DMat3,
+    pub translation: DVec3,
+}
+
+impl Similarity {
+    pub const IDENTITY: Self = Self { scale: 1.0, rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
+
+    pub fn apply(&self, p: DVec3) -> DVec3 {
+        self.scale * (self.rotation * p) + self.translation
+    }
+}
+
+/// How far two surfaces lie apart, in centimetres.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Distances {
+    /// Mean of the two directed mean distances (ours to truth, truth to ours).
+    pub chamfer_cm: f64,
+    /// Their sum, which other works print as Chamfer.
+    pub chamfer_sum_cm: f64,
+    /// Mean distance of the truth's points to our surface.
+    pub point_to_surface_cm: f64,
+}
+
+fn positions(mesh: &Mesh) -> Vec<DVec3> {
+    mesh.vertices.iter().map(|v| DVec3::from(v.map(f64::from))).collect()
+}
+
+/// `n` points, uniform over the area, the same for the same seed. Empty for a mesh without area.
+pub fn sample(vertices: &[DVec3], faces: &[[u32; 3]], n: usize, seed: u64) -> Vec<DVec3> {
+    let corners = |f: &[u32; 3]| f.map(|i| vertices[i as usize]);
+    let mut sums = Vec::with_capacity(faces.len());
+    let mut total = 0.0;
+    for face in faces {
+        let [a, b, c] = corners(face);
+        total += (b - a).cross(c - a).length();
+        sums.push(total);
+    }
+    if total == 0.0 || !total.is_finite() {
+        return Vec::new();
+    }
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
+    (0..n)
+        .map(|_| {
+            let at = rng.random::<f64>() * total;
+            let [a, b, c] = corners(&faces[sums.partition_point(|&s| s <= at).min(faces.len() - 1)]);
+            let (root, v) = (rng.random::<f64>().sqrt(), rng.random::<f64>());
+            a * (1.0 - root) + b * (root * (1.0 - v)) + c * (root * v)
+        })
+        .collect()
+}
+
+fn mean_distance(points: &[DVec3], to: &Surface) -> f64 {
+    let sum: f64 = points.iter().filter_map(|&p| to.nearest(p)).map(|(_, d)| d.sqrt()).sum();
+    sum / points.len() as f64
+}
+
+/// Distances between our mesh and the truth, both in metres, after `ours` has been moved by `alignment`.
+pub fn distances(ours: &Mesh, truth: &Mesh, alignment: &Similarity) -> Distances {
+    let moved: Vec<DVec3> = positions(ours).into_iter().map(|p| alignment.apply(p)).collect();
+    let truth_points = positions(truth);
+    let to_truth = mean_distance(&sample(&moved, &ours.faces, SAMPLES, 1), &Surface::new(&truth_points, &truth.faces));
+    let to_ours = mean_distance(&sample(&truth_points, &truth.faces, SAMPLES, 2), &Surface::new(&moved, &ours.faces));
+    Distances {
+        chamfer_cm: 50.0 * (to_truth + to_ours),
+        chamfer_sum_cm: 100.0 * (to_truth + to_ours),
+        point_to_surface_cm: 100.0 * to_ours,
+    }
+}
+
+/// The similarity that brings `ours` onto `truth`: iterated closest points in both directions, from the identity.
+pub fn align(ours: &Mesh, truth: &Mesh) -> Similarity {
+    let (our_vertices, truth_vertices) = (positions(ours), positions(truth));
+    let our_points = sample(&our_vertices, &ours.faces, ALIGN_SAMPLES, 3);
+    let truth_points = sample(&truth_vertices, &truth.faces, ALIGN_SAMPLES, 4);
+    // The trees stand still; points are carried to the other's space instead.
+    let our_surface = Surface::new(&our_vertices, &ours.faces);
+    let truth_surface = Surface::new(&truth_vertices, &truth.faces);
+    let mut now = Similarity::IDENTITY;
+    for _ in 0..ALIGN_ROUNDS {
+        let mut pairs = Vec::with_capacity(2 * ALIGN_SAMPLES);
+        pairs.extend(our_points.iter().filter_map(|&p| Some((p, truth_surface.nearest(now.apply(p))?.0))));
+        pairs.extend(truth_points.iter().filter_map(|&q| {
+            let back = now.rotation.transpose() * (q - now.translation) / now.scale;
+            Some((our_surface.nearest(back)?.0, q))
+        }));
+        let Some(next) = umeyama(&pairs) else { break };
+        let step = (next.translation - now.translation).length() + (next.scale - now.scale).abs();
+        now = next;
+        if step < 1e-7 {
+            break;
+        }
+    }
+    now
+}
+
+/// The similarity that minimises `Σ ‖s R x + t − y‖²` over pairs (x, y) (Umeyama 1991); `None` where the points have
+/// no extent.
+pub fn umeyama(pairs: &[(DVec3, DVec3)]) -> Option<Similarity> {
+    let n = pairs.len() as f64;
+    let (mx, my) = pairs.iter().fold((DVec3::ZERO, DVec3::ZERO), |(a, b), (x, y)| (a + x / n, b + y / n));
+    let mut covariance = nalgebra::Matrix3::<f64>::zeros();
+    let mut variance = 0.0;
+    for (x, y) in pairs {
+        let (dx, dy) = (*x - mx, *y - my);
+        variance += dx.length_squared() / n;
+        covariance += nalgebra::Vector3::from(dy.to_array()) * nalgebra::RowVector3::from(dx.to_array()) / n;
+    }
+    if variance <= 1e-18 || !variance.is_finite() {
+        return None;
+    }
+    let svd = covariance.svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let sign = if (u.determinant() * v_t.determinant()) < 0.0 { -1.0 } else { 1.0 };
+    let mut signs = nalgebra::Vector3::new(1.0, 1.0, 1.0);
+    signs[svd.singular_values.imin()] = sign;
+    let rotation = u * nalgebra::Matrix3::from_diagonal(&signs) * v_t;
+    let scale = svd.singular_values.dot(&signs) / variance;
+    let rotation = DMat3::from_cols_array(&rotation.as_slice().try_into().ok()?);
+    Some(Similarity { scale, rotation, translation: my - scale * (rotation * mx) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::body::Body;
+
+    fn mesh() -> Mesh {
+        let body = Body::test_body();
+        Mesh { vertices: body.v_template, faces: body.faces, colours: Vec::new() }
+    }
+
+    fn moved(mesh: &Mesh, by: &Similarity) -> Mesh {
+        let vertices = mesh.vertices.iter().map(|v| by.apply(DVec3::from(v.map(f64::from))).as_vec3().to_array());
+        Mesh { vertices: vertices.collect(), ..mesh.clone() }
+    }
+
+    #[test]
+    fn samples_lie_on_the_surface_evenly() {
+        let vertices = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::X * 3.0 + DVec3::Y * 3.0];
+        let faces = [[0, 1, 2], [1, 3, 2]];
+        let points = sample(&vertices, &faces, 20_000, 7);
+        // The first triangle has an area of 1/2, the second of 5/2.
+        let first = points.iter().filter(|p| p.x + p.y < 1.0).count() as f64 / points.len() as f64;
+        assert!((first - 1.0 / 6.0).abs() < 0.01, "{first}");
+        assert!(points.iter().all(|p| p.z == 0.0));
+    }
+
+    #[test]
+    fn parallel_squares_lie_their_distance_apart() {
+        let square = |z: f32| Mesh {
+            vertices: vec![[0.0, 0.0, z], [1.0, 0.0, z], [1.0, 1.0, z], [0.0, 1.0, z]],
+            faces: vec![[0, 1, 2], [0, 2, 3]],
+            colours: Vec::new(),
+        };
+        let d = distances(&square(0.0), &square(0.02), &Similarity::IDENTITY);
+        assert!((d.chamfer_cm - 2.0).abs() < 1e-5 && (d.point_to_surface_cm - 2.0).abs() < 1e-5, "{d:?}");
+        assert!((d.chamfer_sum_cm - 4.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn umeyama_finds_the_similarity_and_no_reflection() {
+        let truth = Similarity {
+            scale: 1.3,
+            rotation: DMat3::from_rotation_y(0.8) * DMat3::from_rotation_x(-2.0),
+            translation: DVec3::new(0.1, -4.0, 2.0),
+        };
+        let points: Vec<DVec3> =
+            (0..20).map(|i| DVec3::new((i * 7 % 5) as f64, (i * 3 % 7) as f64, i as f64)).collect();
+        let pairs: Vec<_> = points.iter().map(|&p| (p, truth.apply(p))).collect();
+        let found = umeyama(&pairs).unwrap();
+        assert!((found.scale - truth.scale).abs() < 1e-9 && found.rotation.abs_diff_eq(truth.rotation, 1e-9));
+        let mirrored: Vec<_> = points.iter().map(|&p| (p, DVec3::new(-p.x, p.y, p.z))).collect();
+        assert!((umeyama(&mirrored).unwrap().rotation.determinant() - 1.0).abs() < 1e-9);
+        assert!(umeyama(&[(DVec3::ONE, DVec3::X)]).is_none());
+    }
+
+    #[test]
+    fn alignment_takes_out_a_small_similarity() {
+        let truth = mesh();
+        let shift = Similarity {
+            scale: 1.04,
+            rotation: DMat3::from_rotation_y(0.05),
+            translation: DVec3::new(0.02, -0.03, 0.05),
+        };
+        let ours = moved(&truth, &shift);
+        let before = distances(&ours, &truth, &Similarity::IDENTITY);
+        let after = distances(&ours, &truth, &align(&ours, &truth));
+        assert!(before.chamfer_cm > 1.5, "{before:?}");
+        assert!(after.chamfer_cm < 0.02, "{after:?}");
+    }
+}

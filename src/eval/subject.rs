@@ -1,0 +1,204 @@
+//! A folder of truth: `camera.json`, `masks.zip`, `novel/novel.json` with its pictures, `truth/frame_*.ply` and
+//! `truth/joints3d.json`. What is absent is not evaluated.
+
+use std::io::{BufReader, Cursor, Read};
+use std::path::{Path, PathBuf};
+
+use image::{GrayImage, RgbImage};
+
+use crate::avatar::Pose;
+use crate::avatar::ply::{self, Mesh, PlyError};
+use crate::camera::Camera;
+
+/// Why the folder could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum SubjectError {
+    #[error("{path}: {reason}")]
+    File { path: PathBuf, reason: String },
+    #[error("{path}: {source}")]
+    Ply { path: PathBuf, source: PlyError },
+}
+
+fn file_error(path: &Path) -> impl Fn(&dyn std::fmt::Display) -> SubjectError + use<'_> {
+    move |reason| SubjectError::File { path: path.to_owned(), reason: reason.to_string() }
+}
+
+/// Which pose a held-out picture shows.
+#[derive(Clone, Debug, PartialEq)]
+pub enum NovelPose {
+    /// The captured pose of this frame of the video.
+    Frame(u32),
+    /// A pose that the video does not show, and the pelvis joint's position.
+    Pose(Box<Pose>, [f32; 3]),
+}
+
+/// A held-out picture.
+#[derive(Clone, Debug)]
+pub struct Novel {
+    pub name: String,
+    pub image: PathBuf,
+    pub mask: PathBuf,
+    pub camera: Camera,
+    pub pose: NovelPose,
+}
+
+impl Novel {
+    /// The truth on white: the picture where its mask covers.
+    pub fn on_white(&self) -> Result<RgbImage, SubjectError> {
+        let open = |path: &Path| ::image::open(path).map_err(|e| file_error(path)(&e));
+        let (mut image, mask) = (open(&self.image)?.into_rgb8(), open(&self.mask)?.into_luma8());
+        if image.dimensions() != mask.dimensions() {
+            return Err(file_error(&self.mask)(&"not the size of its picture"));
+        }
+        for (pixel, cover) in image.pixels_mut().zip(mask.pixels()) {
+            let alpha = cover.0[0] as f32 / 255.0;
+            pixel.0 = pixel.0.map(|x| (alpha * x as f32 + (1.0 - alpha) * 255.0).round() as u8);
+        }
+        Ok(image)
+    }
+}
+
+/// An opened folder.
+#[derive(Debug, Default)]
+pub struct Subject {
+    pub views: Vec<Novel>,
+    pub poses: Vec<Novel>,
+    /// Frame of the video and its surface
+    pub surfaces: Vec<(u32, PathBuf)>,
+    /// `[T][24]`, training camera, metres
+    pub joints: Vec<Vec<[f64; 3]>>,
+    /// The zip of masks, one a frame of the video in the order of their names
+    masks: Option<Vec<u8>>,
+}
+
+#[derive(serde::Deserialize)]
+struct NovelFile {
+    #[serde(default)]
+    views: Vec<Entry>,
+    #[serde(default)]
+    poses: Vec<Entry>,
+}
+
+#[derive(serde::Deserialize)]
+struct Entry {
+    image: String,
+    mask: String,
+    #[serde(default)]
+    frame: u32,
+    pose: Option<Vec<f32>>,
+    trans: Option<[f32; 3]>,
+    #[serde(rename = "R")]
+    rotation: [[f64; 3]; 3],
+    #[serde(rename = "t")]
+    translation: [f64; 3],
+    width: u32,
+    height: u32,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+}
+
+impl Entry {
+    fn novel(self, folder: &Path) -> Result<Novel, String> {
+        let pose = match (self.pose, self.trans) {
+            (Some(pose), Some(trans)) => {
+                let n = pose.len();
+                let pose =
+                    pose.try_into().map_err(|_| format!("{}: a pose of {n} numbers, expected 72", self.image))?;
+                NovelPose::Pose(Box::new(pose), trans)
+            }
+            _ => NovelPose::Frame(self.frame),
+        };
+        Ok(Novel {
+            name: Path::new(&self.image).file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            image: folder.join(&self.image),
+            mask: folder.join(&self.mask),
+            camera: Camera {
+                width: self.width,
+                height: self.height,
+                fx: self.fx,
+                fy: self.fy,
+                cx: self.cx,
+                cy: self.cy,
+                distortion: [0.0; 5],
+                rotation: std::array::from_fn(|i| self.rotation[i / 3][i % 3]),
+                translation: self.translation,
+            },
+            pose,
+        })
+    }
+}
+
+#[derive(serde::Deserialize)]
+struct JointsFile {
+    frames: Vec<Vec<[f64; 3]>>,
+}
+
+fn json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<Option<T>, SubjectError> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let bytes = std::fs::read(path).map_err(|e| file_error(path)(&e))?;
+    serde_json::from_slice(&bytes).map(Some).map_err(|e| file_error(path)(&e))
+}
+
+impl Subject {
+    pub fn open(folder: &Path) -> Result<Self, SubjectError> {
+        if !folder.is_dir() {
+            return Err(file_error(folder)(&"not a folder"));
+        }
+        let mut subject = Self::default();
+        let list = folder.join("novel/novel.json");
+        if let Some(file) = json::<NovelFile>(&list)? {
+            let novels = |entries: Vec<Entry>| {
+                let novels = entries.into_iter().map(|e| e.novel(&folder.join("novel")));
+                novels.collect::<Result<Vec<_>, _>>().map_err(|e| file_error(&list)(&e))
+            };
+            subject.views = novels(file.views)?;
+            subject.poses = novels(file.poses)?;
+        }
+        if let Some(file) = json::<JointsFile>(&folder.join("truth/joints3d.json"))? {
+            subject.joints = file.frames;
+        }
+        let truth = folder.join("truth");
+        for entry in std::fs::read_dir(&truth).into_iter().flatten().flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let number = name.strip_prefix("frame_").and_then(|n| n.strip_suffix(".ply")).and_then(|n| n.parse().ok());
+            subject.surfaces.extend(number.map(|n| (n, entry.path())));
+        }
+        subject.surfaces.sort();
+        let masks = folder.join("masks.zip");
+        if masks.exists() {
+            subject.masks = Some(std::fs::read(&masks).map_err(|e| file_error(&masks)(&e))?);
+        }
+        Ok(subject)
+    }
+
+    /// The truth's surface of `surfaces[i]`.
+    pub fn surface(&self, i: usize) -> Result<Mesh, SubjectError> {
+        let path = &self.surfaces[i].1;
+        let file = std::fs::File::open(path).map_err(|e| file_error(path)(&e))?;
+        ply::read(BufReader::new(file)).map_err(|source| SubjectError::Ply { path: path.clone(), source })
+    }
+
+    /// The masks of these frames of the video; `None` for a frame without one. Empty without masks.
+    pub fn masks(&self, frames: &[u32]) -> Result<Vec<Option<GrayImage>>, SubjectError> {
+        let Some(bytes) = &self.masks else { return Ok(Vec::new()) };
+        let path = Path::new("masks.zip");
+        let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|e| file_error(path)(&e))?;
+        let names = archive.file_names().map(|name| name.map(|n| n.into_owned()));
+        let mut names = names.collect::<Result<Vec<_>, _>>().map_err(|e| file_error(path)(&e))?;
+        names.retain(|n| [".png", ".jpg", ".jpeg"].iter().any(|e| n.to_lowercase().ends_with(e)));
+        names.sort();
+        let mut read = |frame: &u32| {
+            let Some(name) = names.get(*frame as usize) else { return Ok(None) };
+            let mut data = Vec::new();
+            let mut entry = archive.by_name(name).map_err(|e| file_error(path)(&e))?;
+            entry.read_to_end(&mut data).map_err(|e| file_error(path)(&e))?;
+            let mask = ::image::load_from_memory(&data).map_err(|e| file_error(path)(&e))?;
+            Ok(Some(mask.into_luma8()))
+        };
+        frames.iter().map(&mut read).collect()
+    }
+}

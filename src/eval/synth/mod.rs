@@ -1,0 +1,203 @@
+//! Made clips with truth: a body of random shape in made clothes turns once before a camera. The folder is laid out for
+//! [`Subject`](super::Subject) and as an upload.
+
+mod clothes;
+mod keypoints;
+mod motion;
+mod paint;
+mod write;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DMat3, DVec3};
+use image::RgbImage;
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
+
+use self::clothes::{Dress, dress};
+use self::keypoints::{detect, normal};
+use self::motion::{novel_poses, turn};
+use self::paint::Paint;
+use self::write::{FolderWriter, NovelEntry};
+use crate::avatar::{Picture, Pose, Tracer, VideoError, vertex_normals};
+use crate::body::Body;
+use crate::camera::Camera;
+use crate::gpu::{Gpu, GpuError};
+use crate::npz::NpzError;
+use crate::ops::skinning::cpu::{Posed, forward};
+
+/// A clip to make.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct SynthOptions {
+    pub frames: usize,
+    /// Width and height, even
+    pub size_px: u32,
+    pub seed: u64,
+    pub fps: f64,
+    /// σ of the keypoints at 540 px; scaled with the size
+    pub keypoint_noise_px: f64,
+    /// Frames with a truth surface, novel views and novel poses, each at most
+    pub truths: usize,
+}
+
+impl Default for SynthOptions {
+    fn default() -> Self {
+        Self { frames: 60, size_px: 360, seed: 1, fps: 30.0, keypoint_noise_px: 2.0, truths: 8 }
+    }
+}
+
+/// Why no clip was made.
+#[derive(Debug, thiserror::Error)]
+pub enum SynthError {
+    #[error("{0}")]
+    Options(String),
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    #[error(transparent)]
+    Video(#[from] VideoError),
+    #[error(transparent)]
+    Npz(#[from] NpzError),
+    #[error(transparent)]
+    Image(#[from] image::ImageError),
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    #[error(transparent)]
+    Zip(#[from] zip::result::ZipError),
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}
+
+/// Samples along a pixel's side.
+const SAMPLES: u32 = 4;
+
+/// Height of the person over the picture's height.
+const FILL: f64 = 0.84;
+
+/// One made person before one camera.
+struct Scene<'a> {
+    body: &'a Body,
+    betas: &'a [f32],
+    dress: &'a Dress,
+    paint: Paint<'a>,
+    tracer: Tracer,
+    camera: Camera,
+    /// Position of the pelvis joint around which the clip is centred
+    centre: [f32; 3],
+}
+
+impl Scene<'_> {
+    /// The body with its pelvis at `pelvis`.
+    fn posed(&self, pose: &Pose, pelvis: [f32; 3]) -> Posed<f32> {
+        let at = self.body.shaped_joints(self.betas)[0];
+        let transl = std::array::from_fn(|k| pelvis[k] - at[k]);
+        forward(self.body, self.betas, Some(&self.dress.offsets), pose, transl)
+    }
+
+    fn picture(&self, posed: &Posed<f32>, camera: &Camera) -> Result<Picture, GpuError> {
+        let normals = vertex_normals(&posed.vertices, &self.body.faces);
+        self.tracer.trace(&posed.vertices, camera, SAMPLES, |points| {
+            Ok(points.iter().map(|p| self.paint.colour(p, &normals)).collect())
+        })
+    }
+}
+
+/// A still wall and floor behind the person.
+fn backdrop(x: u32, y: u32, size: u32) -> [u8; 3] {
+    let (u, v) = (x as f32 / size as f32, y as f32 / size as f32);
+    let grey = if v < 0.82 { 150.0 + 30.0 * (1.0 - v) - 25.0 * (u - 0.5).abs() } else { 115.0 + 120.0 * (v - 0.82) };
+    [grey, grey * 0.985, grey * 0.96].map(|c| c as u8)
+}
+
+fn over_backdrop(picture: &Picture, size: u32) -> RgbImage {
+    image::DynamicImage::ImageRgba8(picture.over(|x, y| backdrop(x, y, size))).into_rgb8()
+}
+
+/// Makes a clip of `body` in `folder`: `video.mp4`, `masks.zip`, `keypoints.json`, `camera.json`, `truth/` and `novel/`.
+/// The same options give the same clip on the same device. `progress` hears the frames done and of how many.
+pub fn synthesise(
+    gpu: &Arc<Gpu>,
+    body: &Body,
+    options: &SynthOptions,
+    folder: &Path,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<(), SynthError> {
+    check(options)?;
+    let mut rng = Pcg64::seed_from_u64(options.seed);
+    let betas: Vec<f32> = (0..body.n_betas).map(|_| (0.7 * normal(&mut rng)).clamp(-1.5, 1.5) as f32).collect();
+    let dress = dress(body, &betas, &mut rng);
+    let paint = Paint::random(body, &betas, &dress, &mut rng);
+    let (camera, centre) = camera(options.size_px, &dress.rest, body.shaped_joints(&betas)[0]);
+    let tracer = Tracer::new(gpu, &body.faces, body.n_vertices());
+    let scene = Scene { body, betas: &betas, dress: &dress, paint, tracer, camera, centre };
+    let mut out = FolderWriter::create(folder, options)?;
+    out.canonical(body, &dress.rest)?;
+
+    let (poses, sways) = turn(options.frames, &mut rng);
+    let truth_step = options.frames.div_ceil(options.truths.max(1));
+    for (i, (pose, sway)) in poses.iter().zip(&sways).enumerate() {
+        let pelvis: [f32; 3] = std::array::from_fn(|k| scene.centre[k] + sway[k]);
+        let posed = scene.posed(pose, pelvis);
+        let picture = scene.picture(&posed, &scene.camera)?;
+        let noise_px = options.keypoint_noise_px * options.size_px as f64 / 540.0;
+        let keypoints = detect(body, &posed.vertices, &posed.joints, &scene.camera, noise_px, &mut rng);
+        out.frame(&over_backdrop(&picture, options.size_px), &picture.coverage(), pose, &posed.joints, keypoints)?;
+        if i % truth_step == 0 {
+            out.surface(i, body, &posed.vertices)?;
+        }
+        if i == 0 {
+            for k in 0..options.truths {
+                novel_view(&scene, &posed, k, options, &mut out)?;
+            }
+        }
+        progress(i + 1, options.frames);
+    }
+    for (name, pose) in novel_poses().into_iter().take(options.truths) {
+        let picture = scene.picture(&scene.posed(&pose, scene.centre), &scene.camera)?;
+        let entry = NovelEntry::of_pose(name, &pose, scene.centre, &scene.camera);
+        out.novel_pose(entry, &over_backdrop(&picture, options.size_px), &picture.coverage())?;
+    }
+    out.finish(body, &betas, &scene.camera, options)
+}
+
+fn check(options: &SynthOptions) -> Result<(), SynthError> {
+    if !(1..=10_000).contains(&options.frames) {
+        return Err(SynthError::Options(format!("{} frames, expected 1 to 10000", options.frames)));
+    }
+    if !(32..=4096).contains(&options.size_px) || !options.size_px.is_multiple_of(2) {
+        return Err(SynthError::Options(format!("a size of {} px, expected 32 to 4096 and even", options.size_px)));
+    }
+    Ok(())
+}
+
+/// A camera that sees the person whole, and where the pelvis then is: the T-pose centred in the picture.
+fn camera(size_px: u32, rest: &[[f32; 3]], pelvis: [f32; 3]) -> (Camera, [f32; 3]) {
+    let ys = rest.iter().map(|v| v[1]);
+    let (low, high) = ys.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), y| (l.min(y), h.max(y)));
+    let size = size_px as f64;
+    let focal = 1.425 * size;
+    let distance = focal * (high - low) as f64 / (FILL * size);
+    let camera = Camera::pinhole(size_px, size_px, [focal, focal, 0.5 * size, 0.5 * size]);
+    (camera, [0.0, 0.5 * (low + high) - pelvis[1], distance as f32])
+}
+
+/// Frame 0 from a camera that has walked round the person and looks a little down.
+fn novel_view(
+    scene: &Scene<'_>,
+    posed: &Posed<f32>,
+    k: usize,
+    options: &SynthOptions,
+    out: &mut FolderWriter,
+) -> Result<(), SynthError> {
+    let azimuth = std::f64::consts::TAU * (k as f64 + 0.5) / options.truths as f64;
+    let elevation: f64 = if k.is_multiple_of(2) { 0.09 } else { 0.2 };
+    let rotation = DMat3::from_rotation_x(elevation) * DMat3::from_rotation_y(azimuth);
+    let centre = DVec3::new(0.0, 0.0, scene.centre[2] as f64);
+    let camera = Camera {
+        rotation: rotation.transpose().to_cols_array(),
+        translation: (centre - rotation * centre).to_array(),
+        ..scene.camera.clone()
+    };
+    let picture = scene.picture(posed, &camera)?;
+    out.novel_view(k, &camera, &over_backdrop(&picture, options.size_px), &picture.coverage())
+}

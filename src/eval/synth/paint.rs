@@ -1,0 +1,137 @@
+//! Made colours: skin, hair, patterned cloth with a logo, a painted face; and the light that falls on them.
+
+use glam::{Vec2, Vec3};
+use rand::RngExt;
+use rand_pcg::Pcg64;
+
+use super::clothes::{Dress, REGIONS, Region};
+use crate::avatar::SurfacePoint;
+use crate::body::{Body, KeypointSource};
+
+/// Share of the light that comes from everywhere; the rest from one side.
+const AMBIENT: f32 = 0.72;
+
+/// The look of one made person.
+pub(super) struct Paint<'a> {
+    body: &'a Body,
+    dress: &'a Dress,
+    skin: Vec3,
+    hair: Vec3,
+    top: [Vec3; 2],
+    bottom: Vec3,
+    shoes: Vec3,
+    stripes_a_metre: f32,
+    chest: Vec3,
+    eyes: Vec<Vec3>,
+    nose: Option<Vec3>,
+    /// Towards the light, world space
+    light: Vec3,
+}
+
+fn mix(a: Vec3, b: Vec3, t: f32) -> Vec3 {
+    a + (b - a) * t.clamp(0.0, 1.0)
+}
+
+/// Smooth noise in [−1, 1] over space, features of about 1 / `frequency` metres.
+fn noise(p: Vec3, frequency: f32) -> f32 {
+    let (cell, part) = ((p * frequency).floor(), p * frequency - (p * frequency).floor());
+    let part = part * part * (3.0 - 2.0 * part);
+    let corner = |dx: i32, dy: i32, dz: i32| {
+        let [x, y, z] = [cell.x as i32 + dx, cell.y as i32 + dy, cell.z as i32 + dz].map(|v| v as u32);
+        let mut h = x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ z.wrapping_mul(0xc2b2_ae3d);
+        h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);
+        h = (h ^ (h >> 12)).wrapping_mul(0x297a_2d39);
+        (h ^ (h >> 15)) as f32 / u32::MAX as f32 * 2.0 - 1.0
+    };
+    let line = |dy, dz| corner(0, dy, dz) + (corner(1, dy, dz) - corner(0, dy, dz)) * part.x;
+    let sheet = |dz| line(0, dz) + (line(1, dz) - line(0, dz)) * part.y;
+    sheet(0) + (sheet(1) - sheet(0)) * part.z
+}
+
+impl<'a> Paint<'a> {
+    pub fn random(body: &'a Body, betas: &[f32], dress: &'a Dress, rng: &mut Pcg64) -> Self {
+        let joints: Vec<Vec3> = body.shaped_joints(betas).into_iter().map(Vec3::from).collect();
+        let mut colour =
+            |low: f32, high: f32| Vec3::from(std::array::from_fn(|_| low + (high - low) * rng.random::<f32>()));
+        let (top, other, bottom, shoes) = (colour(0.15, 0.9), colour(0.15, 0.9), colour(0.1, 0.6), colour(0.05, 0.4));
+        let hair = mix(Vec3::new(0.10, 0.07, 0.05), Vec3::new(0.55, 0.38, 0.2), rng.random());
+        let skin = mix(Vec3::new(0.42, 0.27, 0.19), Vec3::new(0.88, 0.70, 0.60), rng.random());
+        // The face's landmarks, from the keypoints' definition: nose, left and right eye.
+        let landmark = |i: usize| match body.keypoint_set("coco17")?.points.get(i)? {
+            KeypointSource::Vertices(v) => {
+                Some(v.iter().map(|&v| Vec3::from(dress.rest[v as usize])).sum::<Vec3>() / v.len() as f32)
+            }
+            _ => None,
+        };
+        Self {
+            body,
+            dress,
+            skin,
+            hair,
+            top: [top, other],
+            bottom,
+            shoes,
+            stripes_a_metre: 6.0 + 18.0 * rng.random::<f32>(),
+            chest: joints[9],
+            eyes: [landmark(1), landmark(2)].into_iter().flatten().collect(),
+            nose: landmark(0),
+            light: Vec3::new(-0.5, -0.8, -0.6).normalize(),
+        }
+    }
+
+    /// sRGB of a surface point under the light; `normals` are the posed mesh's, world space.
+    pub fn colour(&self, point: &SurfacePoint, normals: &[[f32; 3]]) -> [f32; 3] {
+        let face = self.body.faces[point.face as usize];
+        let normal: Vec3 = (0..3).map(|k| Vec3::from(normals[face[k] as usize]) * point.bary[k]).sum();
+        let shade = AMBIENT + (1.0 - AMBIENT) * normal.normalize_or_zero().dot(self.light).max(0.0) * 1.6;
+        (self.albedo(point) * shade).clamp(Vec3::ZERO, Vec3::ONE).into()
+    }
+
+    fn albedo(&self, point: &SurfacePoint) -> Vec3 {
+        let face = self.body.faces[point.face as usize].map(|v| v as usize);
+        let p: Vec3 = (0..3).map(|k| Vec3::from(self.dress.rest[face[k]]) * point.bary[k]).sum();
+        let claim = |r: usize| (0..3).map(|k| point.bary[k] * self.dress.claims[face[k]][r]).sum::<f32>();
+        let best = (0..REGIONS.len()).max_by(|&a, &b| claim(a).total_cmp(&claim(b)));
+        let grain = 1.0 + 0.04 * noise(p, 60.0) + 0.04 * noise(p, 15.0);
+        grain
+            * match REGIONS[best.unwrap_or(0)] {
+                Region::Skin => self.face(p),
+                Region::Hair => self.hair * (1.0 + 0.3 * noise(p * Vec3::new(3.0, 0.4, 3.0), 60.0)),
+                Region::Top => self.shirt(p),
+                Region::Bottom => self.bottom * if p.x.abs() < 0.004 { 0.6 } else { 1.0 },
+                Region::Shoes => self.shoes,
+            }
+    }
+
+    fn face(&self, p: Vec3) -> Vec3 {
+        for eye in &self.eyes {
+            let d = p.truncate().distance(eye.truncate()) * if p.z > eye.z - 0.04 { 1.0 } else { 100.0 };
+            if d < 0.014 {
+                return if d < 0.006 { Vec3::splat(0.08) } else { Vec3::splat(0.92) };
+            }
+        }
+        if let Some(nose) = self.nose {
+            let mouth = (p - nose - Vec3::new(0.0, -0.038, 0.0)) / Vec3::new(0.026, 0.008, 0.05);
+            if mouth.length_squared() < 1.0 {
+                return mix(self.skin, Vec3::new(0.7, 0.2, 0.2), 0.7);
+            }
+        }
+        self.skin
+    }
+
+    /// Stripes, and on the chest a disc with a triangle.
+    fn shirt(&self, p: Vec3) -> Vec3 {
+        let logo = (p - self.chest).truncate() / 0.075;
+        if p.z > self.chest.z && logo.length_squared() < 1.0 {
+            let corner = |k: f32| Vec2::from_angle(std::f32::consts::TAU * (k / 3.0 + 0.25)) * 0.7;
+            let inside = (0..3).all(|k| {
+                let (a, b) = (corner(k as f32), corner(k as f32 + 1.0));
+                (b - a).perp_dot(logo - a) > 0.0
+            });
+            return if inside { Vec3::new(0.95, 0.8, 0.1) } else { Vec3::new(0.08, 0.1, 0.3) };
+        }
+        // On the trunk the stripes run round it, on the sleeves round the arm.
+        let along = if p.x.abs() > 0.2 { p.x.abs() } else { p.y };
+        self.top[((along * self.stripes_a_metre).rem_euclid(1.0) < 0.35) as usize]
+    }
+}

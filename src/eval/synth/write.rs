@@ -1,0 +1,234 @@
+//! The files of a made clip.
+
+use std::fs::File;
+use std::io::{BufWriter, Cursor, Write};
+use std::path::{Path, PathBuf};
+
+use image::{GrayImage, ImageFormat, Luma, RgbImage};
+use serde_json::json;
+
+use super::{SynthError, SynthOptions};
+use crate::avatar::ply::{self, Mesh};
+use crate::avatar::{Pose, Quality, VideoWriter};
+use crate::body::{Body, JOINT_NAMES};
+use crate::camera::Camera;
+use crate::npz::NpzWriter;
+
+/// An entry of `novel/novel.json`.
+#[derive(serde::Serialize)]
+pub(super) struct NovelEntry {
+    image: String,
+    mask: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    frame: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pose: Option<Vec<f32>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    trans: Option<[f32; 3]>,
+    #[serde(rename = "R")]
+    rotation: [[f64; 3]; 3],
+    #[serde(rename = "t")]
+    translation: [f64; 3],
+    width: u32,
+    height: u32,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+}
+
+impl NovelEntry {
+    fn of_camera(camera: &Camera) -> Self {
+        Self {
+            image: String::new(),
+            mask: String::new(),
+            name: None,
+            frame: None,
+            pose: None,
+            trans: None,
+            rotation: std::array::from_fn(|i| std::array::from_fn(|j| camera.rotation[3 * i + j])),
+            translation: camera.translation,
+            width: camera.width,
+            height: camera.height,
+            fx: camera.fx,
+            fy: camera.fy,
+            cx: camera.cx,
+            cy: camera.cy,
+        }
+    }
+
+    pub fn of_pose(name: &str, pose: &Pose, pelvis: [f32; 3], camera: &Camera) -> Self {
+        let (name, pose) = (Some(name.to_owned()), Some(pose.to_vec()));
+        Self { name, pose, trans: Some(pelvis), ..Self::of_camera(camera) }
+    }
+}
+
+/// Writes a folder piece by piece.
+pub(super) struct FolderWriter {
+    folder: PathBuf,
+    video: VideoWriter,
+    masks: zip::ZipWriter<BufWriter<File>>,
+    keypoints: Vec<Vec<[f64; 3]>>,
+    poses: Vec<Pose>,
+    joints: Vec<Vec<[f32; 3]>>,
+    views: Vec<NovelEntry>,
+    novel_poses: Vec<NovelEntry>,
+}
+
+impl FolderWriter {
+    pub fn create(folder: &Path, options: &SynthOptions) -> Result<Self, SynthError> {
+        std::fs::create_dir_all(folder.join("truth"))?;
+        std::fs::create_dir_all(folder.join("novel"))?;
+        let size = (options.size_px, options.size_px);
+        Ok(Self {
+            video: VideoWriter::create(&folder.join("video.mp4"), size, options.fps, Quality::Fine)?,
+            masks: zip::ZipWriter::new(BufWriter::new(File::create(folder.join("masks.zip"))?)),
+            folder: folder.to_owned(),
+            keypoints: Vec::new(),
+            poses: Vec::new(),
+            joints: Vec::new(),
+            views: Vec::new(),
+            novel_poses: Vec::new(),
+        })
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    fn json(&self, name: &str, value: &serde_json::Value) -> Result<(), SynthError> {
+        Ok(serde_json::to_writer(BufWriter::new(File::create(self.path(name))?), value)?)
+    }
+
+    /// The clothed T-pose.
+    pub fn canonical(&self, body: &Body, rest: &[[f32; 3]]) -> Result<(), SynthError> {
+        self.mesh("truth/canonical.ply", body, rest)
+    }
+
+    /// The posed surface of frame `i`, camera space.
+    pub fn surface(&self, i: usize, body: &Body, vertices: &[[f32; 3]]) -> Result<(), SynthError> {
+        self.mesh(&format!("truth/frame_{i:04}.ply"), body, vertices)
+    }
+
+    fn mesh(&self, name: &str, body: &Body, vertices: &[[f32; 3]]) -> Result<(), SynthError> {
+        let mesh = Mesh { vertices: vertices.to_vec(), faces: body.faces.clone(), colours: Vec::new() };
+        Ok(ply::write(&mesh, File::create(self.path(name))?)?)
+    }
+
+    /// The next frame of the video with its mask, keypoints and truth.
+    pub fn frame(
+        &mut self,
+        image: &RgbImage,
+        coverage: &GrayImage,
+        pose: &Pose,
+        joints: &[[f32; 3]],
+        keypoints: Vec<[f64; 3]>,
+    ) -> Result<(), SynthError> {
+        if self.poses.is_empty() {
+            image.save(self.path("frame_0000.png"))?;
+        }
+        self.video.push(image)?;
+        let mut png = Cursor::new(Vec::new());
+        binary(coverage).write_to(&mut png, ImageFormat::Png)?;
+        let stored = zip::write::SimpleFileOptions::default()
+            .compression_method(zip::CompressionMethod::Stored)
+            .last_modified_time(zip::DateTime::default());
+        self.masks.start_file(format!("masks/{:04}.png", self.poses.len()), stored)?;
+        self.masks.write_all(png.get_ref())?;
+        self.poses.push(*pose);
+        self.joints.push(joints.to_vec());
+        self.keypoints.push(keypoints);
+        Ok(())
+    }
+
+    pub fn novel_view(
+        &mut self,
+        k: usize,
+        camera: &Camera,
+        image: &RgbImage,
+        coverage: &GrayImage,
+    ) -> Result<(), SynthError> {
+        let entry = NovelEntry { frame: Some(0), ..NovelEntry::of_camera(camera) };
+        let entry = self.pictures(&format!("view_{k:02}"), entry, image, coverage)?;
+        self.views.push(entry);
+        Ok(())
+    }
+
+    pub fn novel_pose(&mut self, entry: NovelEntry, image: &RgbImage, coverage: &GrayImage) -> Result<(), SynthError> {
+        let entry = self.pictures(&format!("pose_{:02}", self.novel_poses.len()), entry, image, coverage)?;
+        self.novel_poses.push(entry);
+        Ok(())
+    }
+
+    fn pictures(
+        &self,
+        name: &str,
+        mut entry: NovelEntry,
+        image: &RgbImage,
+        coverage: &GrayImage,
+    ) -> Result<NovelEntry, SynthError> {
+        (entry.image, entry.mask) = (format!("{name}.png"), format!("{name}_mask.png"));
+        image.save(self.folder.join("novel").join(&entry.image))?;
+        binary(coverage).save(self.folder.join("novel").join(&entry.mask))?;
+        Ok(entry)
+    }
+
+    /// Everything that is known only at the end.
+    pub fn finish(
+        mut self,
+        body: &Body,
+        betas: &[f32],
+        camera: &Camera,
+        options: &SynthOptions,
+    ) -> Result<(), SynthError> {
+        let keypoints = std::mem::take(&mut self.keypoints);
+        self.json("keypoints.json", &json!({ "format": "coco17", "frames": keypoints }))?;
+        self.json(
+            "camera.json",
+            &json!({
+                "width": camera.width, "height": camera.height,
+                "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy,
+            }),
+        )?;
+        self.json("truth/joints3d.json", &json!({ "names": JOINT_NAMES, "frames": self.joints }))?;
+        self.json("novel/novel.json", &json!({ "views": self.views, "poses": self.novel_poses }))?;
+        self.json("subject.json", &json!({ "made_by": "effigy synth", "body": body.name, "options": options }))?;
+        let pelvis = |joints: &Vec<[f32; 3]>| joints[0];
+        let trans: Vec<[f32; 3]> = self.joints.iter().map(pelvis).collect();
+        self.poses("truth/poses.npz", &self.poses, &trans, Some((body, betas)))?;
+        let novel: (Vec<Pose>, Vec<[f32; 3]>) =
+            self.novel_poses.iter().filter_map(|e| Some((Pose::try_from(e.pose.as_deref()?).ok()?, e.trans?))).unzip();
+        self.poses("novel/poses.npz", &novel.0, &novel.1, None)?;
+        self.masks.finish()?;
+        Ok(self.video.finish()?)
+    }
+
+    /// `trans` is the pelvis joint's position.
+    fn poses(
+        &self,
+        name: &str,
+        poses: &[Pose],
+        trans: &[[f32; 3]],
+        shape: Option<(&Body, &[f32])>,
+    ) -> Result<(), SynthError> {
+        let mut npz = NpzWriter::new(BufWriter::new(File::create(self.path(name))?));
+        npz.add("poses", &[poses.len(), 72], poses.as_flattened())?;
+        npz.add("trans", &[trans.len(), 3], trans.as_flattened())?;
+        if let Some((body, betas)) = shape {
+            npz.add("betas", &[betas.len()], betas)?;
+            npz.add("joints_rest", &[24, 3], body.shaped_joints(betas).as_flattened())?;
+            npz.add("parents", &[24], &body.parents)?;
+        }
+        npz.finish()?.flush()?;
+        Ok(())
+    }
+}
+
+/// 255 where at least half of the pixel is covered.
+fn binary(coverage: &GrayImage) -> GrayImage {
+    GrayImage::from_fn(coverage.width(), coverage.height(), |x, y| {
+        Luma([if coverage.get_pixel(x, y).0[0] >= 128 { 255 } else { 0 }])
+    })
+}
