@@ -1,9 +1,10 @@
-//! What is looked at in every frame: whether the mask holds a person, and whether the keypoints are that person's.
+//! What is looked at in every frame: whether the mask holds a person, and whether keypoints and poses are that person's.
 
 use super::keypoints::{Keypoints, Point};
 use super::rectify::{Rect, is_foreground};
 use super::source::Picture;
-use super::{BadInput, Part};
+use super::{BadInput, KnownPoses, Part};
+use crate::camera::Camera;
 
 /// The masks seen so far.
 #[derive(Default)]
@@ -146,6 +147,58 @@ impl KeypointCheck {
     }
 }
 
+/// The known poses seen so far.
+#[derive(Default)]
+pub(super) struct PoseCheck {
+    frames: usize,
+    off: usize,
+    first_off: Option<usize>,
+}
+
+impl PoseCheck {
+    /// Whether the body lies where its mask is: before the camera, and in the picture no further from the mask's box
+    /// than half the box (SMPL's `transl` is not quite the pelvis). A guessed camera tells only before from behind.
+    pub fn look(&mut self, frame: usize, poses: &KnownPoses, camera: Option<&Camera>, bounds: Rect) {
+        self.frames += 1;
+        let place = poses.trans[frame].map(f64::from);
+        let on = match camera {
+            None => place[2] > 0.0,
+            Some(camera) => project(camera, place).is_some_and(|(x, y)| {
+                let slack = 0.5 * f64::from(bounds.width().max(bounds.height()));
+                let within = |value: f64, low: u32, high: u32| {
+                    (f64::from(low) - slack..=f64::from(high) + slack).contains(&value)
+                };
+                within(x, bounds.x0, bounds.x1) && within(y, bounds.y0, bounds.y1)
+            }),
+        };
+        if !on {
+            self.off += 1;
+            self.first_off.get_or_insert(frame);
+        }
+    }
+
+    pub fn finish(&self, warnings: &mut Vec<String>) -> Result<(), BadInput> {
+        let Some(first) = self.first_off else { return Ok(()) };
+        let message = format!("the body of {} of {} frames does not lie on its mask", self.off, self.frames);
+        if 2 * self.off > self.frames {
+            let expected = "places in metres in the camera's world: x right, y down, z forward for a camera without \
+                            rotation and translation";
+            return Err(BadInput::new(Part::Poses, message, expected).at(first));
+        }
+        warnings.push(format!("poses: {message}, the first of them {first}"));
+        Ok(())
+    }
+}
+
+/// Pixel of a place in the world, lens distortion left out; `None` behind the camera.
+fn project(camera: &Camera, place: [f64; 3]) -> Option<(f64, f64)> {
+    let row = |i: usize| -> f64 {
+        (0..3).map(|k| camera.rotation[3 * i + k] * place[k]).sum::<f64>() + camera.translation[i]
+    };
+    let (x, y, z) = (row(0), row(1), row(2));
+    (z > 0.0).then(|| (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy))
+}
+
 /// Whether there is foreground within 2 % of the image's longer side of a point.
 fn is_near_foreground(mask: &Picture, point: &Point) -> bool {
     let (width, height) = (i64::from(mask.width), i64::from(mask.height));
@@ -234,6 +287,31 @@ mod tests {
         let mut check = KeypointCheck::default();
         check.choose(0, &people(vec![vec![[10.0, 40.0, 1.0]; 17]]), &mask());
         assert_eq!(check.finish(&mut Vec::new()).unwrap_err().message, "17 of 17 points lie off the masks");
+    }
+
+    #[test]
+    fn a_body_behind_the_camera_or_off_the_mask_is_found() {
+        let bounds = Rect { x0: 40, y0: 10, x1: 60, y1: 70 };
+        let camera = crate::capture::calibration::guess(100, 80);
+        let check = |place: [f32; 3], camera: Option<&Camera>| {
+            let poses = KnownPoses { poses: vec![vec![0.0; 72]], trans: vec![place], is_pelvis: true, betas: None };
+            let mut check = PoseCheck::default();
+            check.look(0, &poses, camera, bounds);
+            check.finish(&mut Vec::new())
+        };
+        assert_eq!(check([0.0, 0.1, 3.0], Some(&camera)), Ok(()));
+        assert!(check([0.0, 0.1, -3.0], Some(&camera)).is_err());
+        assert!(check([2.5, 0.1, 3.0], Some(&camera)).is_err());
+        assert_eq!(check([2.5, 0.1, 3.0], None), Ok(()));
+        // The same place as seen by a camera 3 m behind the world's origin, upside down.
+        let rotation = [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0];
+        let moved = Camera { rotation, translation: [0.0, 0.0, 3.0], ..camera };
+        assert_eq!(check([0.0, -0.1, 0.0], Some(&moved)), Ok(()));
+        let error = check([0.0, -0.1, -4.0], Some(&moved)).unwrap_err();
+        assert_eq!(
+            (error.frame, error.message.as_str()),
+            (Some(0), "the body of 1 of 1 frames does not lie on its mask")
+        );
     }
 
     #[test]

@@ -126,7 +126,8 @@ fn read_messages(stderr: ChildStderr) -> Vec<String> {
             Ok(0) | Err(_) => return messages,
             Ok(_) if messages.len() < 3 => {
                 let message = clean(&String::from_utf8_lossy(&line));
-                if !message.is_empty() && !messages.contains(&message) {
+                let repeats = message.starts_with("Last message repeated") || messages.contains(&message);
+                if !message.is_empty() && !repeats {
                     messages.push(message);
                 }
             }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use super::checks::{KeypointCheck, MaskCheck, check_not_normalised};
+use super::checks::{KeypointCheck, MaskCheck, PoseCheck, check_not_normalised};
 use super::keypoints::{Keypoints, Point};
 use super::limits::{INSPECT_TIME, LOAD_TIME};
 use super::rectify::{Rect, Rectify};
@@ -163,6 +163,7 @@ impl Clip {
         mut visit: impl FnMut((u32, u32), Still<'_>) -> Result<(), BadInput>,
     ) -> Result<(), CaptureError> {
         let (mut mask_check, mut keypoint_check) = (MaskCheck::default(), KeypointCheck::default());
+        let mut pose_check = PoseCheck::default();
         loop {
             let index = self.video.count;
             let expected = index < self.keypoints.frames.len();
@@ -177,6 +178,10 @@ impl Clip {
             match (image, mask) {
                 (Some(image), Some(mask)) if expected => {
                     let bounds = mask_check.look(index, &mask);
+                    let known = self.poses.as_ref().filter(|poses| index < poses.trans.len());
+                    if let (Some(poses), Some(bounds)) = (known, bounds) {
+                        pose_check.look(index, poses, self.camera.as_ref(), bounds);
+                    }
                     let points = keypoint_check.choose(index, &self.keypoints, &mask);
                     if keep(index) {
                         visit(self.size, Still { index, image: &image, mask: &mask, bounds, points })?;
@@ -190,6 +195,7 @@ impl Clip {
         self.check_counts()?;
         mask_check.finish(&mut self.warnings)?;
         keypoint_check.finish(&mut self.warnings)?;
+        pose_check.finish(&mut self.warnings)?;
         Ok(())
     }
 

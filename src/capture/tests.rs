@@ -309,7 +309,7 @@ fn frames_are_thinned_and_scaled_with_their_keypoints_and_poses() {
     let poses: Vec<f32> = (0..COUNT).flat_map(|i| [i as f32; 72]).collect();
     let mut npz = NpzWriter::new(Cursor::new(Vec::new()));
     npz.add("poses", &[COUNT, 72], &poses).unwrap();
-    npz.add("trans", &[COUNT, 3], &poses[..COUNT * 3]).unwrap();
+    npz.add("trans", &[COUNT, 3], &[[0.0f32, 0.0, 3.0]; COUNT].concat()).unwrap();
     clip.inputs.poses = clip.add("poses", npz.finish().unwrap().into_inner());
     let camera = r#"{"width": 64, "height": 96, "fx": 80, "fy": 81, "cx": 32, "cy": 48}"#;
     clip.inputs.camera = clip.add("camera", camera);

@@ -106,13 +106,14 @@ impl VideoFile {
         let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4)).to_string();
         let skip = if fast { "all" } else { "default" };
         let passthrough = passthrough_option()?;
-        // Portable pixmaps tell the size of each picture in the stream itself, after rotation.
+        // Portable pixmaps tell the size of each picture in the stream itself, after rotation. Frames are numbered
+        // anew, so that odd timestamps neither drop one nor raise complaints.
         #[rustfmt::skip]
         let arguments = [
             "-hide_banner", "-nostdin", "-v", "error",
             "-protocol_whitelist", PROTOCOLS, "-format_whitelist", FORMATS,
             "-max_pixels", &max_pixels, "-threads", &threads, "-skip_loop_filter", skip, "-i", &self.url,
-            "-map", "0:V:0", "-an", "-sn", "-dn", passthrough, "passthrough",
+            "-map", "0:V:0", "-an", "-sn", "-dn", "-vf", "settb=1,setpts=N", passthrough, "passthrough",
             "-sws_flags", "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp",
             "-c:v", codec, "-pix_fmt", format, "-f", "image2pipe", "pipe:1",
         ];
