@@ -21,6 +21,8 @@ enum Command {
     Eval(cli::eval::Args),
     /// Make a clip of a clothed person, with truth.
     Synth(cli::synth::Args),
+    /// Time the operators on this device.
+    Bench(cli::bench::Args),
 }
 
 fn main() -> anyhow::Result<()> {
@@ -29,5 +31,6 @@ fn main() -> anyhow::Result<()> {
         Command::Render(args) => cli::render::run(args),
         Command::Eval(args) => cli::eval::run(args),
         Command::Synth(args) => cli::synth::run(args),
+        Command::Bench(args) => cli::bench::run(args),
     }
 }

@@ -1,3 +1,4 @@
+pub mod bench;
 pub mod body;
 pub mod eval;
 pub mod render;
