@@ -150,7 +150,7 @@ pub fn solve(
             candidate.descend(options.iterations, 1e-3, &mut step)?;
         }
     }
-    let mut best = candidates.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).ok_or(Stage0Error::NobodyFound)?;
+    let mut best = likeliest(candidates).ok_or(Stage0Error::NobodyFound)?;
     report.costs.push(best.cost);
     for _ in 0..FINE_ROUNDS {
         best.tighten(FINE_RHO);
@@ -164,6 +164,17 @@ pub fn solve(
         return Err(Stage0Error::Diverged);
     }
     Ok(report::result(&best, capture, report))
+}
+
+/// The candidate of least cost, all measured with the finest noise that one of them reached: a bad reading would
+/// hide behind a noise of its own.
+fn likeliest(mut candidates: Vec<Candidate>) -> Option<Candidate> {
+    let finest = candidates.iter().map(|c| c.scales.sigma_px).min_by(f64::total_cmp)?;
+    for candidate in &mut candidates {
+        let scales = Scales { sigma_px: finest, rho: ROUGH_RHO, ..candidate.scales };
+        candidate.cost = candidate.problem.evaluate(&candidate.state, &scales, None);
+    }
+    candidates.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
 /// Rounds with wide scales, to tell the readings apart, and rounds that settle the noise.

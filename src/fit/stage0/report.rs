@@ -27,6 +27,7 @@ pub fn result(best: &Candidate, capture: &Capture, mut report: Stage0Report) -> 
     let zoomed = best.problem.camera.zoomed(state.shared.log_focal);
     if capture.camera_estimated {
         (camera.fx, camera.fy) = (zoomed.fx, zoomed.fy);
+        report.notes.push(format!("the camera's focal length was estimated: {:.0} px", zoomed.fx));
     }
     describe(best, &mut report);
     Stage0Result { betas: state.shared.betas.iter().map(|b| *b as f32).collect(), poses, transl, camera, report }
