@@ -31,9 +31,9 @@ pub fn candidate(
     if known.poses.len() != n || known.trans.len() != n {
         return Err(Stage0Error::PoseCount { found: known.poses.len().min(known.trans.len()), expected: n });
     }
-    let mut shared = setup::mean_shape(body.n_betas);
+    let mut shared = setup::mean_shape(problem.rig.n_betas());
     if let Some(betas) = known.betas.as_ref().filter(|b| b.len() == body.n_betas) {
-        shared.betas = betas.iter().map(|b| f64::from(*b)).collect();
+        shared.betas.iter_mut().zip(betas).for_each(|(b, given)| *b = f64::from(*given));
     }
     let rest_pelvis = if known.is_pelvis { DVec3::ZERO } else { problem.rig.rest_joints(&shared.betas)[0] };
     let to_camera = camera_rotation(capture);

@@ -3,7 +3,7 @@
 //!
 //! One nonlinear least-squares problem over all frames: keypoints under a Geman–McClure loss (Bogo et al. 2016),
 //! the mask's edge, a standing prior with joint limits, and smoothness that expects a steady turn
-//! (`problem`). Its normal equations are an arrow on a block tridiagonal and are solved directly (`normal`).
+//! (`problem`, `expectation`). Its normal equations are an arrow on a block tridiagonal and are solved directly (`normal`).
 //! Because the problem has many minima, it starts from a search over facings, directions of the turn and
 //! swapped sides (`placement`), and frames are read anew between the rounds of descent (`sides`).
 //!
@@ -11,6 +11,7 @@
 //! as it was, so size comes from the shape prior.
 
 mod contour;
+mod expectation;
 mod known;
 mod landmarks;
 mod minimise;
@@ -57,7 +58,7 @@ impl Default for Stage0Options {
 /// Body parameters of every frame, in the world of the capture's camera.
 #[derive(Clone, Debug)]
 pub struct Stage0Result {
-    /// `[B]`
+    /// `[B]`; only the first 16 are fitted, others are zero.
     pub betas: Vec<f32>,
     /// `[N][72]`
     pub poses: Vec<[f32; 72]>,
@@ -163,7 +164,7 @@ pub fn solve(
     if !best.cost.is_finite() {
         return Err(Stage0Error::Diverged);
     }
-    Ok(report::result(&best, capture, report))
+    Ok(report::result(&best, body, capture, report))
 }
 
 /// The candidate of least cost, all measured with the finest noise that one of them reached: a bad reading would
