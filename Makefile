@@ -31,3 +31,8 @@ lint:
 ## Writes openapi.yaml anew from the handlers.
 openapi: build
 	"$(EFFIGY)" openapi > openapi.yaml
+
+## The Khronos validator on a file: make validate-glb FILE=demo-out/avatar.glb
+validate-glb:
+	npm ci --prefix tools/gltf-validate --no-audit --no-fund --silent
+	node tools/gltf-validate/validate.mjs "$(FILE)"

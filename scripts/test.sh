@@ -5,4 +5,6 @@ cd "$(dirname "$0")/.."
 
 cargo fmt --check
 cargo clippy --locked --all-targets -- -D warnings
+# The Khronos glTF validator, which the tests run on an exported avatar.
+npm ci --prefix tools/gltf-validate --no-audit --no-fund --silent
 cargo test --locked

@@ -109,6 +109,7 @@ fn training_masks(renderer: &Renderer, subject: &Subject) -> Result<Vec<FrameIou
         let Some(mask) = mask else { continue };
         let mut spec = RenderSpec::of_frame(model, k);
         spec.camera = model.camera.scaled(mask.width(), mask.height());
+        spec.samples = SAMPLES;
         scores.push(FrameIou { frame: model.frames[k], iou: mask_iou(&renderer.mask(&spec)?, &mask) });
     }
     Ok(scores)

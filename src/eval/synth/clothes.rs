@@ -131,7 +131,7 @@ impl<'a> Place<'a> {
         let shoes = step(0.35, 0.65, self.foot) * step(0.10, 0.06, self.point.y - self.joints[10].y);
         // Hair: the upper head and its back.
         let (up, back) = (self.point.y - head.y, head.z - self.point.z);
-        let hair = self.head * step(0.0, 0.02, back + 0.9 * (up - 0.13)) * step(-0.03, 0.0, up);
+        let hair = self.head * step(0.0, 0.02, back + 1.5 * (up - 0.07)) * step(-0.03, 0.0, up);
         let skin = 0.5 * (1.0 - top.max(bottom).max(shoes).max(hair)) + 0.25;
         [skin, hair, top, bottom, shoes]
     }

@@ -14,7 +14,7 @@ const HIDDEN: f64 = 0.3;
 const DROPOUT: f64 = 0.05;
 
 /// Depth by which the surface may lie before a keypoint that is still seen, metres: joints lie inside the body.
-const JOINT_DEPTH: f32 = 0.12;
+const JOINT_DEPTH: f32 = 0.18;
 const SURFACE_DEPTH: f32 = 0.02;
 
 /// A number from the normal distribution (Box and Muller).

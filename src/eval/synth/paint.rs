@@ -106,8 +106,8 @@ impl<'a> Paint<'a> {
     fn face(&self, p: Vec3) -> Vec3 {
         for eye in &self.eyes {
             let d = p.truncate().distance(eye.truncate()) * if p.z > eye.z - 0.04 { 1.0 } else { 100.0 };
-            if d < 0.014 {
-                return if d < 0.006 { Vec3::splat(0.08) } else { Vec3::splat(0.92) };
+            if d < 0.010 {
+                return if d < 0.005 { Vec3::splat(0.08) } else { Vec3::splat(0.92) };
             }
         }
         if let Some(nose) = self.nose {

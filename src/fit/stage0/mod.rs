@@ -3,7 +3,7 @@
 //!
 //! One nonlinear least-squares problem over all frames: keypoints under a Geman–McClure loss (Bogo et al. 2016),
 //! the mask's edge, a standing prior with joint limits, and smoothness that expects a steady turn
-//! (`problem`, `expectation`). Its normal equations are an arrow on a block tridiagonal and are solved directly (`normal`).
+//! (`problem`). Its normal equations are an arrow on a block tridiagonal and are solved directly (`normal`).
 //! Because the problem has many minima, it starts from a search over facings, directions of the turn and
 //! swapped sides (`placement`), and frames are read anew between the rounds of descent (`sides`).
 //!
@@ -11,7 +11,6 @@
 //! as it was, so size comes from the shape prior.
 
 mod contour;
-mod expectation;
 mod known;
 mod landmarks;
 mod minimise;
@@ -58,7 +57,7 @@ impl Default for Stage0Options {
 /// Body parameters of every frame, in the world of the capture's camera.
 #[derive(Clone, Debug)]
 pub struct Stage0Result {
-    /// `[B]`; only the first 16 are fitted, others are zero.
+    /// `[B]`
     pub betas: Vec<f32>,
     /// `[N][72]`
     pub poses: Vec<[f32; 72]>,
@@ -151,7 +150,7 @@ pub fn solve(
             candidate.descend(options.iterations, 1e-3, &mut step)?;
         }
     }
-    let mut best = likeliest(candidates).ok_or(Stage0Error::NobodyFound)?;
+    let mut best = candidates.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).ok_or(Stage0Error::NobodyFound)?;
     report.costs.push(best.cost);
     for _ in 0..FINE_ROUNDS {
         best.tighten(FINE_RHO);
@@ -164,18 +163,7 @@ pub fn solve(
     if !best.cost.is_finite() {
         return Err(Stage0Error::Diverged);
     }
-    Ok(report::result(&best, body, capture, report))
-}
-
-/// The candidate of least cost, all measured with the finest noise that one of them reached: a bad reading would
-/// hide behind a noise of its own.
-fn likeliest(mut candidates: Vec<Candidate>) -> Option<Candidate> {
-    let finest = candidates.iter().map(|c| c.scales.sigma_px).min_by(f64::total_cmp)?;
-    for candidate in &mut candidates {
-        let scales = Scales { sigma_px: finest, rho: ROUGH_RHO, ..candidate.scales };
-        candidate.cost = candidate.problem.evaluate(&candidate.state, &scales, None);
-    }
-    candidates.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost))
+    Ok(report::result(&best, capture, report))
 }
 
 /// Rounds with wide scales, to tell the readings apart, and rounds that settle the noise.

@@ -1,0 +1,114 @@
+//! A made clip and its evaluation: an avatar with the clip's own truth must score as the truth.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use effigy::avatar::{AvatarModel, Renderer, ply};
+use effigy::body::Body;
+use effigy::camera::Camera;
+use effigy::eval::{Subject, SynthOptions, evaluate, synthesise};
+use effigy::gpu::{DeviceSelect, Gpu};
+use effigy::npz::Npz;
+use effigy::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
+
+/// A device, or `None` after saying that `test` is ignored; CI requires one.
+fn gpu(test: &str) -> Option<Arc<Gpu>> {
+    match Gpu::open(&DeviceSelect::Auto) {
+        Ok(gpu) => Some(gpu),
+        Err(reason) => {
+            assert!(std::env::var_os("CI").is_none(), "{test}: CI requires a device: {reason}");
+            eprintln!("{test}: ignored, {reason}");
+            None
+        }
+    }
+}
+
+fn options() -> SynthOptions {
+    SynthOptions { frames: 4, size_px: 96, truths: 2, seed: 11, ..SynthOptions::default() }
+}
+
+/// The avatar that the folder's truth describes, all in one colour.
+fn truth_avatar(folder: &Path) -> AvatarModel {
+    let body = Body::test_body();
+    let npz = Npz::open(&folder.join("truth/poses.npz")).unwrap();
+    let betas = npz.get("betas").unwrap().f32();
+    let canonical = std::fs::File::open(folder.join("truth/canonical.ply")).unwrap();
+    let canonical = ply::read(std::io::BufReader::new(canonical)).unwrap();
+    let (shaped, pelvis) = (body.shaped_vertices(&betas), body.shaped_joints(&betas)[0]);
+    let minus = |a: [f32; 3], b: [f32; 3]| -> [f32; 3] { std::array::from_fn(|k| a[k] - b[k]) };
+    let poses: Vec<[f32; 72]> = npz.get("poses").unwrap().f32().as_chunks().0.to_vec();
+    let trans: Vec<[f32; 3]> = npz.get("trans").unwrap().f32().as_chunks().0.to_vec();
+    let camera: Camera = serde_json::from_slice(&std::fs::read(folder.join("camera.json")).unwrap()).unwrap();
+    let texture_config = TextureFieldConfig { n_levels: 2, log2_hashmap_size: 8, ..Default::default() };
+    AvatarModel {
+        offsets: canonical.vertices.iter().zip(shaped).map(|(&v, s)| minus(v, s)).collect(),
+        texcoords: vec![[0.5; 3]; body.n_vertices()],
+        texture: TextureFieldParams::zeros(&texture_config),
+        texture_config,
+        face_colours: vec![[0.5; 3]; body.n_faces()],
+        frames: (0..poses.len() as u32).collect(),
+        transl: trans.into_iter().map(|t| minus(t, pelvis)).collect(),
+        poses,
+        fps: 30.0,
+        camera,
+        betas,
+        body,
+    }
+}
+
+#[test]
+fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
+    let Some(gpu) = gpu("the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut frames = 0;
+    synthesise(&gpu, &Body::test_body(), &options(), folder.path(), |done, _| frames = done).unwrap();
+    assert_eq!(frames, 4);
+    let subject = Subject::open(folder.path()).unwrap();
+    assert_eq!((subject.views.len(), subject.poses.len(), subject.surfaces.len()), (2, 2, 2));
+
+    let truth = truth_avatar(folder.path());
+    let out = folder.path().join("pictures");
+    std::fs::create_dir(&out).unwrap();
+    let renderer = Renderer::new(&gpu, &Arc::new(truth.clone())).unwrap();
+    let report = evaluate(&renderer, &subject, Some(&out), |_| {}).unwrap();
+    let s = &report.summary;
+    assert!(s.mask_iou.unwrap() > 0.995, "{s:?}");
+    assert!(s.chamfer_cm.unwrap() < 1e-3 && s.unaligned_point_to_surface_cm.unwrap() < 1e-3, "{s:?}");
+    assert!(s.joints_cm.unwrap() < 1e-3, "{s:?}");
+    // The silhouettes agree; the avatar is grey where the truth has colours.
+    assert!(s.novel_view_psnr_db.unwrap() > 14.0 && s.novel_pose_psnr_db.unwrap() > 14.0, "{s:?}");
+    assert!(report.warnings.is_empty());
+    assert_eq!(std::fs::read_dir(&out).unwrap().count(), 4);
+
+    let mut moved = truth;
+    moved.transl.iter_mut().for_each(|t| t[0] += 0.03);
+    let report = evaluate(&Renderer::new(&gpu, &Arc::new(moved)).unwrap(), &subject, None, |_| {}).unwrap();
+    let s = &report.summary;
+    assert!((s.joints_cm.unwrap() - 3.0).abs() < 1e-3 && s.joints_root_aligned_cm.unwrap() < 1e-3, "{s:?}");
+    assert!(s.unaligned_chamfer_cm.unwrap() > 1.0 && s.chamfer_cm.unwrap() < 0.02, "{s:?}");
+    assert!(s.mask_iou.unwrap() < 0.95, "{s:?}");
+}
+
+#[test]
+fn a_clip_is_the_same_for_the_same_seed() {
+    let Some(gpu) = gpu("a_clip_is_the_same_for_the_same_seed") else { return };
+    let made = |seed: u64| {
+        let folder = tempfile::tempdir().unwrap();
+        let options = SynthOptions { frames: 1, size_px: 48, truths: 1, seed, ..SynthOptions::default() };
+        synthesise(&gpu, &Body::test_body(), &options, folder.path(), |_, _| {}).unwrap();
+        ["frame_0000.png", "keypoints.json", "truth/poses.npz", "novel/pose_00.png"]
+            .map(|name| std::fs::read(folder.path().join(name)).unwrap())
+    };
+    let first = made(3);
+    assert!(first == made(3));
+    assert!(first != made(4));
+}
+
+#[test]
+fn absurd_options_are_refused() {
+    let Some(gpu) = gpu("absurd_options_are_refused") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    for options in [SynthOptions { frames: 0, ..options() }, SynthOptions { size_px: 97, ..options() }] {
+        assert!(synthesise(&gpu, &Body::test_body(), &options, folder.path(), |_, _| {}).is_err());
+    }
+}
