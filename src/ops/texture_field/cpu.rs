@@ -109,14 +109,13 @@ struct Cell<T> {
 
 impl<T: Real> Cell<T> {
     fn new(level: &Level, x: &[T]) -> Self {
-        let mut cell = Self { corner: [0; 3], place: [T::zero(); 3] };
-        for axis in 0..3 {
-            let position = x[axis].max(T::zero()).min(T::one()) * level.scale_of::<T>() + T::of(0.5);
-            let corner = position.floor();
-            cell.corner[axis] = corner.to_u32().unwrap_or(0);
-            cell.place[axis] = position - corner;
+        let position: [T; 3] =
+            std::array::from_fn(|axis| x[axis].max(T::zero()).min(T::one()) * level.scale_of::<T>() + T::of(0.5));
+        let corner = position.map(|x| x.floor());
+        Self {
+            corner: corner.map(|x| x.to_u32().unwrap_or(0)),
+            place: std::array::from_fn(|axis| position[axis] - corner[axis]),
         }
-        cell
     }
 
     /// The interpolation's weight along an axis; bit `axis` of `k` tells the corner's side.
