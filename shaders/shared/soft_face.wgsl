@@ -1,9 +1,11 @@
 // A triangle on the normalised image plane against a pixel centre; see src/ops/soft_rasterize/mod.rs.
 // The importing file binds `params: SoftParams`.
 
-const TILE: u32 = 8u;
-// exp(-NEGLIGIBLE) = 1.5e-8 is below the resolution of an f32 sum of ones.
-const NEGLIGIBLE: f32 = 18.0;
+// Side of a tile in pixels.
+#const TILE: u32 = 4u
+const TILE_PIXELS: u32 = TILE * TILE;
+// A pixel whose T is below exp(-NEGLIGIBLE) = 6e-6 is opaque, a weight below it is none.
+const NEGLIGIBLE: f32 = 12.0;
 
 struct SoftParams {
     n_faces: u32,

@@ -1,6 +1,6 @@
 // Backward pass 2, one face an invocation: the gradient of its corners [F, 3, 3] and of its colour, over its box.
 //
-// With the score s = ln D + z^/gamma, weight w = exp(s - m)/W, D = sigmoid(x), x = +-d^2/sigma:
+// With the score s = ln D + z^/gamma, weight w = exp(s)/W, D = sigmoid(x), x = +-d^2/sigma:
 //   dL/ds = w (g.C - g.rgb),  dL/dx = dL/ds (1 - D) + T dL/dalpha D,  dL/dC = w g.
 // d^2 = |delta|^2 with the nearest boundary point sum foot_k p_k:  dd^2/dp_k = -2 foot_k delta (the foot is optimal).
 // z = 1/S with S = sum c_k (1/z_k) / sum c_k, c = clamp(w): passes where 0 < w < 1; w_k = q_i x q_j / area as in
@@ -68,13 +68,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let r = fragment_at(face, pixel_centre(at.x, at.y));
         if r.counts {
             let pixel = u32(at.y) * params.width + u32(at.x);
-            let state = pixels[2u * pixel];
-            let g = pixels[2u * pixel + 1u].xyz;
-            let rest = soft_rest(r.x);
-            let weight = exp(nearness(r.z) - rest - max(-r.x, 0.0) - state.x) * state.y;
-            let d = exp(-rest - max(-r.x, 0.0));
-            let gs = weight * (dot(g, own) - state.w);
-            let gx = gs * exp(-rest - max(r.x, 0.0)) + state.z * d;
+            let g = pixels[2u * pixel].xyz;
+            let state = pixels[2u * pixel + 1u];
+            let e = exp(-abs(r.x));
+            let inv = 1.0 / (1.0 + e);
+            let weight = exp(nearness(r.z) - state.x + min(r.x, 0.0)) * inv;
+            let gs = weight * (dot(g, own) - state.z);
+            let gx = (gs * select(1.0, e, r.x > 0.0) + state.y * select(e, 1.0, r.x > 0.0)) * inv;
             g_colour += weight * g;
 
             let g_delta = -2.0 * sign(r.x) * gx / params.sigma * r.delta;

@@ -38,11 +38,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let z_max = max(va.z, max(vb.z, vc.z));
     let area = cross2(b - a, c - a);
     let inv_length2 = 1.0 / max(vec3<f32>(dot(b - a, b - a), dot(c - b, c - b), dot(a - c, a - c)), vec3<f32>(1e-20));
-    records[4u * f] = vec4<f32>(a, b);
-    records[4u * f + 1u] = vec4<f32>(c, 1.0 / area, z_min);
-    records[4u * f + 2u] = vec4<f32>(1.0 / va.z, 1.0 / vb.z, 1.0 / vc.z, 0.0);
-    records[4u * f + 3u] = vec4<f32>(inv_length2, 0.0);
-
     let size = vec2<f32>(f32(params.width), f32(params.height));
     let reach = sqrt(params.cut * params.sigma) + 0.01 / params.norm_px;
     let low = ceil((min(a, min(b, c)) - reach) * params.norm_px + 0.5 * size - 0.5);
@@ -52,9 +47,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let drawn = z_min > 0.0 && z_max > params.near && z_min < params.far && abs(area) > MIN_AREA
         && x0.x <= x1.x && x0.y <= x1.y;
     if !drawn {
+        // A record of zeros has no depth and counts nowhere.
         boxes[f] = vec2<u32>(1u, 1u);
+        records[4u * f] = vec4<f32>(0.0);
+        records[4u * f + 1u] = vec4<f32>(0.0);
+        records[4u * f + 2u] = vec4<f32>(0.0);
+        records[4u * f + 3u] = vec4<f32>(0.0);
         return;
     }
+    records[4u * f] = vec4<f32>(a, b);
+    records[4u * f + 1u] = vec4<f32>(c, 1.0 / area, z_min);
+    records[4u * f + 2u] = vec4<f32>(1.0 / va.z, 1.0 / vb.z, 1.0 / vc.z, 0.0);
+    records[4u * f + 3u] = vec4<f32>(inv_length2, 0.0);
     let first = vec2<u32>(x0);
     let last = vec2<u32>(x1);
     boxes[f] = first | (last << vec2<u32>(16u));

@@ -7,8 +7,8 @@ use crate::camera::Camera;
 use crate::gpu::{AnyBuffer, Buffer, Gpu, GpuError, Kernel, Recorder, linear_groups};
 use crate::ops::Corners;
 
-/// Side of a tile in pixels, as in `shaders/shared/soft_face.wgsl`.
-const TILE: u32 = 8;
+/// Side of a tile in pixels.
+const TILE: u32 = 4;
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -40,7 +40,6 @@ pub struct SoftRasterizer {
     setup: Arc<Kernel>,
     scan: Arc<Kernel>,
     fill: Arc<Kernel>,
-    sort: Arc<Kernel>,
     forward: Arc<Kernel>,
     pixels_pass: Arc<Kernel>,
     backward: Arc<Kernel>,
@@ -49,8 +48,7 @@ pub struct SoftRasterizer {
     counts: Buffer<u32>,
     starts: Buffer<u32>,
     cursors: Buffer<u32>,
-    entries: Buffer<[u32; 2]>,
-    sorted: Buffer<u32>,
+    entries: Buffer<u32>,
     state: Buffer<f32>,
     pixels: Buffer<f32>,
     gates: Buffer<f32>,
@@ -67,16 +65,18 @@ fn max_tiles(max_pixels: usize) -> usize {
 }
 
 impl SoftRasterizer {
-    /// `list_capacity` bounds the tile lists together; 32 entries a face serve a body with a reach of some pixels.
+    /// `list_capacity` bounds the tile lists together; see [`SoftRasterizer::list_capacity`].
     pub fn new(gpu: &Gpu, corners: &Arc<Corners>, max_pixels: usize, list_capacity: usize) -> Self {
         let n_faces = corners.n_faces();
         let n_tiles = max_tiles(max_pixels);
+        let tile = ("TILE", format!("{TILE}u"));
+        // A subgroup's width there.
+        let lanes = if gpu.info().software { "8u" } else { "32u" };
         Self {
-            setup: kernel!(gpu, "soft_rasterize/setup"),
+            setup: kernel!(gpu, "soft_rasterize/setup", &[tile.clone()]),
             scan: kernel!(gpu, "soft_rasterize/scan"),
-            fill: kernel!(gpu, "soft_rasterize/fill"),
-            sort: kernel!(gpu, "soft_rasterize/sort"),
-            forward: kernel!(gpu, "soft_rasterize/forward"),
+            fill: kernel!(gpu, "soft_rasterize/fill", &[tile.clone()]),
+            forward: kernel!(gpu, "soft_rasterize/forward", &[tile, ("LANES", lanes.to_owned())]),
             pixels_pass: kernel!(gpu, "soft_rasterize/pixels"),
             backward: kernel!(gpu, "soft_rasterize/backward"),
             records: gpu.zeros("soft_rasterize/records", n_faces * 16),
@@ -85,8 +85,7 @@ impl SoftRasterizer {
             starts: gpu.zeros("soft_rasterize/starts", n_tiles + 1),
             cursors: gpu.zeros("soft_rasterize/cursors", n_tiles),
             entries: gpu.zeros("soft_rasterize/entries", list_capacity),
-            sorted: gpu.zeros("soft_rasterize/sorted", list_capacity),
-            state: gpu.zeros("soft_rasterize/state", max_pixels * 4),
+            state: gpu.zeros("soft_rasterize/state", max_pixels * 2),
             pixels: gpu.zeros("soft_rasterize/pixels", max_pixels * 8),
             gates: gpu.zeros("soft_rasterize/gates", max_pixels),
             grad_corners: gpu.zeros("soft_rasterize/grad_corners", n_faces * 9),
@@ -95,6 +94,13 @@ impl SoftRasterizer {
             corners: corners.clone(),
             max_pixels,
         }
+    }
+
+    /// Entries that serve `n_faces` faces of a few pixels, when colours reach `reach_px` over their borders
+    /// ([`SoftRasterizeParams::reach_px`]).
+    pub fn list_capacity(n_faces: usize, reach_px: f64) -> usize {
+        let tiles = (2.0 * reach_px + 7.0) / f64::from(TILE);
+        (n_faces as f64 * tiles * tiles) as usize + 4096
     }
 
     fn params(&self, params: &SoftRasterizeParams, camera: &Camera) -> Params {
@@ -149,15 +155,14 @@ impl SoftRasterizer {
         assert_eq!(view.len(), self.corners.n_vertices() * 3, "{}: length", view.label());
         assert_eq!(face_colours.len(), self.corners.n_faces() * 3, "{}: length", face_colours.label());
         let params = self.params(params, camera);
-        let Self { records, boxes, counts, starts, cursors, entries, sorted, .. } = self;
+        let Self { records, boxes, counts, starts, cursors, entries, .. } = self;
         let by_face = linear_groups(self.corners.n_faces(), 64);
         let by_tile = linear_groups(params.n_tiles as usize, 1);
         recorder.dispatch(&self.setup, &params, &[view, &self.corners.faces, records, boxes, counts], by_face);
         recorder.dispatch(&self.scan, &params, &[counts, starts, cursors], [1, 1, 1]);
-        recorder.dispatch(&self.fill, &params, &[records, boxes, cursors, entries], by_face);
-        recorder.dispatch(&self.sort, &params, &[starts, entries, sorted], by_tile);
-        let buffers: [&dyn AnyBuffer; 8] =
-            [records, face_colours, boxes, starts, sorted, &self.rgb, &self.alpha, &self.state];
+        recorder.dispatch(&self.fill, &params, &[boxes, cursors, entries], by_face);
+        let buffers: [&dyn AnyBuffer; 7] =
+            [records, face_colours, starts, entries, &self.rgb, &self.alpha, &self.state];
         recorder.dispatch(&self.forward, &params, &buffers, by_tile);
     }
 

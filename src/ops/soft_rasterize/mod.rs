@@ -23,14 +23,15 @@
 //!
 //! **Exactness.** `cut` is the one approximation of the formula: the reference codes' 9.21 leaves out faces with
 //! `D < 1e-4`. With a small γ such a face may still outweigh the background, so the cut decides how far colours bleed
-//! over the silhouette; an infinite-like cut (`1e6`) gives the formula itself. What else is skipped is below the resolution
-//! of f32: a pixel with `T = Π(1 − D) < e⁻¹⁸` is opaque, and faces whose weight is below `e⁻¹⁸` of the sum are left out.
+//! over the silhouette; an infinite-like cut (`1e6`) gives the formula itself. The backward pass also leaves out, face by
+//! face, a share in the colour below `e⁻¹² = 6e-6`, and the gradient of `alpha` where `Π(1 − D)` is below it.
 //!
-//! **Order.** Faces are binned into tiles of 8 × 8 pixels and each tile's list is sorted by the nearest corner, so a pixel
-//! can stop when it is opaque, and sums have a fixed order. The lists together hold `list_capacity` entries; a tile whose
-//! list does not fit goes through all the faces instead: slow, never wrong. [`SoftRasterizer::list_length`] tells.
+//! **Forward** bins faces into tiles of 4 × 4 pixels. The lists together hold `list_capacity` entries; a tile whose list
+//! does not fit goes through all the faces instead: slow, never wrong; [`SoftRasterizer::list_length`] tells. The order
+//! within a list is that of arrival, so two runs may differ in the last bits.
 //!
-//! **Backward** goes face by face over the pixels within reach and writes each face's corners once: no float atomics.
+//! **Backward** goes face by face over the pixels within reach and writes each face's corners once, in a fixed order and
+//! without float atomics.
 
 pub mod cpu;
 mod gpu;
@@ -70,6 +71,11 @@ impl SoftRasterizeParams {
             norm_px: f64::from(width.max(height)) / 2.0,
             background: [0.0; 3],
         }
+    }
+
+    /// How far outside its border a face still counts, in pixels.
+    pub fn reach_px(&self) -> f64 {
+        (self.cut * self.sigma).sqrt() * self.norm_px
     }
 }
 
