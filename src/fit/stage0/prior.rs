@@ -20,10 +20,10 @@ pub struct JointPrior {
 /// Softness of joint limits, radians.
 pub const LIMIT_SIGMA: f64 = 0.03;
 /// How the root's tilt and place drift over one unit of time: radians, parts of the distance.
-pub const TILT_DRIFT: f64 = 0.012;
+pub const TILT_DRIFT: f64 = 0.008;
 pub const PELVIS_DRIFT: f64 = 0.003;
 /// Change of the turn rate over one unit of time, radians a unit.
-pub const TURN_DRIFT: f64 = 0.01;
+pub const TURN_DRIFT: f64 = 0.005;
 /// Spread of the body's up axis about the camera's, radians.
 pub const UPRIGHT_SIGMA: f64 = 0.35;
 /// Spread of the body's height about the mean body's, metres. Betas alone allow more; but what looks like a
