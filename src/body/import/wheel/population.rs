@@ -63,7 +63,7 @@ impl Population {
             age,
             muscle: self.normal(0.5, 0.2),
             weight: self.normal(0.55, 0.22),
-            height: self.normal(0.5, 0.12),
+            height: self.normal(0.5, 0.085),
             proportions: self.normal(0.5, 0.2),
             cupsize: self.normal(0.5, 0.2),
             firmness: self.normal(0.5, 0.2),
