@@ -4,6 +4,7 @@
 //! into an atlas; [`write_glb`], [`write_motion`] and [`ply`] write what users take away.
 
 mod atlas;
+mod export;
 mod gltf;
 mod model;
 mod motion;
@@ -17,6 +18,7 @@ mod trace;
 mod video;
 
 pub use atlas::{BakeError, UvLayout, bake};
+pub use export::{ExportError, TEXTURE_SIZES_PX};
 pub use gltf::{Texture, write_glb};
 pub use model::{AvatarModel, ModelError};
 pub use motion::write_motion;

@@ -1,12 +1,13 @@
-//! A texture layout for bodies without one: faces grow into charts along the six axis directions, each chart is
-//! projected along its direction without overlap, and the charts are packed on shelves. Deterministic.
+//! A texture layout for bodies without one: within each part of the body (trunk, head, limbs) faces grow into charts
+//! along the six axis directions, each chart is projected along its direction without overlap, stood upright and packed on
+//! shelves. Deterministic.
 
 use std::collections::{HashMap, HashSet, VecDeque};
 
 use glam::{Vec2, Vec3};
 
 use super::UvLayout;
-use crate::body::Body;
+use crate::body::{Body, N_JOINTS};
 
 /// A face joins a chart while its normal is within 66° of the chart's direction: areas shrink by 2.5 at most.
 const MIN_COSINE: f32 = 0.4;
@@ -16,7 +17,11 @@ const MARGIN: f32 = 8.0 / 2048.0;
 
 /// Texels a metre of the head's charts relative to the rest: people look at faces.
 const HEAD_SCALE: f32 = 1.6;
-const HEAD: u32 = 15;
+const HEAD: usize = 1;
+
+/// Part of the body that each joint belongs to: trunk 0, head 1, arms 2 and 3, legs 4 and 5. Parts become charts of
+/// their own, because a whole figure packs badly.
+const PARTS: [usize; N_JOINTS] = [0, 4, 5, 0, 4, 5, 0, 4, 5, 0, 4, 5, 1, 0, 0, 1, 2, 3, 2, 3, 2, 3, 2, 3];
 
 const DIRECTIONS: [Vec3; 6] = [Vec3::Z, Vec3::NEG_Z, Vec3::X, Vec3::NEG_X, Vec3::Y, Vec3::NEG_Y];
 
@@ -60,6 +65,7 @@ fn charts(body: &Body) -> Vec<Chart> {
         .map(|f| (corner(f[1]) - corner(f[0])).cross(corner(f[2]) - corner(f[0])).normalize_or_zero())
         .collect();
     let neighbours = neighbours(&body.faces);
+    let parts: Vec<usize> = body.faces.iter().map(|face| part(body, face)).collect();
     let mut free = vec![true; body.faces.len()];
     let mut charts = Vec::new();
     // Faces that look most clearly along an axis begin first, so that the large charts do.
@@ -79,6 +85,7 @@ fn charts(body: &Body) -> Vec<Chart> {
         let mut queue = VecDeque::from([seed]);
         while let Some(face) = queue.pop_front() {
             let looks = face == seed || normals[face as usize].dot(direction) > MIN_COSINE;
+            let looks = looks && parts[face as usize] == parts[seed as usize];
             if !free[face as usize] || !looks || !grown.add(body.faces[face as usize], project) {
                 continue;
             }
@@ -86,9 +93,20 @@ fn charts(body: &Body) -> Vec<Chart> {
             grown.faces.push(face);
             queue.extend(&neighbours[face as usize]);
         }
-        charts.push(grown.chart(body, project));
+        charts.push(grown.chart(if parts[seed as usize] == HEAD { HEAD_SCALE } else { 1.0 }, project));
     }
     charts
+}
+
+/// The part that moves the face most.
+fn part(body: &Body, face: &[u32; 3]) -> usize {
+    let mut shares = [0.0; 6];
+    for &v in face {
+        for (&joint, weight) in body.lbs_joints[v as usize].iter().zip(body.lbs_weights[v as usize]) {
+            shares[PARTS[joint as usize]] += weight;
+        }
+    }
+    (0..6).max_by(|&a, &b| f32::total_cmp(&shares[a], &shares[b])).unwrap_or(0)
 }
 
 /// Faces that share an edge with each face.
@@ -133,18 +151,16 @@ impl Grown {
         true
     }
 
-    fn chart(self, body: &Body, project: impl Fn(u32) -> Vec2) -> Chart {
-        let head = |v: &u32| {
-            let (joints, weights) = (body.lbs_joints[*v as usize], body.lbs_weights[*v as usize]);
-            joints.iter().zip(weights).filter(|(j, _)| **j == HEAD).map(|(_, w)| w).sum::<f32>()
-        };
-        let corners = || self.triangles.iter().flat_map(|(face, _)| face);
-        let share = corners().map(head).sum::<f32>() / corners().count() as f32;
-        let scale = if share > 0.5 { HEAD_SCALE } else { 1.0 };
-        let mut points: HashMap<u32, Vec2> = corners().map(|&v| (v, project(v) * scale)).collect();
+    fn chart(self, scale: f32, project: impl Fn(u32) -> Vec2) -> Chart {
+        let corners = self.triangles.iter().flat_map(|(face, _)| face);
+        let mut points: HashMap<u32, Vec2> = corners.map(|&v| (v, project(v) * scale)).collect();
         let low = points.values().fold(Vec2::INFINITY, |a, &b| a.min(b));
         points.values_mut().for_each(|p| *p -= low);
-        let size = points.values().fold(Vec2::ZERO, |a, &b| a.max(b));
+        let mut size = points.values().fold(Vec2::ZERO, |a, &b| a.max(b));
+        if size.x > size.y {
+            points.values_mut().for_each(|p| *p = Vec2::new(size.y - p.y, p.x));
+            size = Vec2::new(size.y, size.x);
+        }
         Chart { faces: self.faces, points, size }
     }
 }

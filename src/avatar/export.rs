@@ -1,0 +1,101 @@
+//! Everything a user takes away, into a folder.
+
+use std::io::{BufWriter, Cursor};
+use std::path::Path;
+
+use image::{ImageFormat, RgbImage};
+
+use super::ply::Mesh;
+use super::render::Renderer;
+use super::{BakeError, ModelError, Texture, UvLayout, bake, ply, write_glb, write_motion};
+use crate::gpu::GpuError;
+use crate::npz::NpzError;
+
+/// Sides of a baked texture that are offered.
+pub const TEXTURE_SIZES_PX: [u32; 3] = [1024, 2048, 4096];
+
+/// Why the files could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ExportError {
+    #[error(transparent)]
+    Bake(#[from] BakeError<GpuError>),
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    #[error(transparent)]
+    Motion(#[from] NpzError),
+    #[error(transparent)]
+    Image(#[from] image::ImageError),
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}
+
+impl Renderer {
+    /// The mesh of captured frame `k` (an index into `frames`) in world space, or the T-pose, with vertex colours from
+    /// the texture. `None` where there is no such frame. Waits.
+    pub fn mesh(&self, k: Option<usize>) -> Result<Option<Mesh>, GpuError> {
+        let Some(mesh) = self.model().mesh(k) else { return Ok(None) };
+        Ok(Some(Mesh { colours: self.texture().vertex_colours(self.gpu())?, ..mesh }))
+    }
+
+    /// The texture field baked to a square of `size_px`. Waits.
+    pub fn bake(&self, layout: &UvLayout, size_px: u32) -> Result<RgbImage, BakeError<GpuError>> {
+        bake(layout, size_px, |points| self.texture().colours(self.gpu(), points))
+    }
+
+    /// Writes `avatar.glb`, `texture.png` (`size_px` a side), `mesh.ply` (T-pose), `motion.npz` and `model.npz` into an
+    /// existing folder. Waits.
+    pub fn export(&self, folder: &Path, size_px: u32) -> Result<(), ExportError> {
+        let model = self.model();
+        let layout = UvLayout::of_body(&model.body);
+        let mut png = Cursor::new(Vec::new());
+        self.bake(&layout, size_px)?.write_to(&mut png, ImageFormat::Png)?;
+        std::fs::write(folder.join("texture.png"), png.get_ref())?;
+        let glb = write_glb(model, &layout, &Texture { bytes: png.get_ref(), mime: "image/png" });
+        std::fs::write(folder.join("avatar.glb"), glb)?;
+        if let Some(mesh) = self.mesh(None)? {
+            ply::write(&mesh, std::fs::File::create(folder.join("mesh.ply"))?)?;
+        }
+        write_motion(model, BufWriter::new(std::fs::File::create(folder.join("motion.npz"))?))?;
+        model.save(&folder.join("model.npz"))?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::avatar::AvatarModel;
+    use crate::avatar::testing::turning_avatar;
+    use crate::ops::testing::gpu;
+
+    #[test]
+    fn an_export_holds_every_file_and_they_agree() {
+        let Some(gpu) = gpu("export::an_export_holds_every_file_and_they_agree") else { return };
+        let renderer = Renderer::new(&gpu, &Arc::new(turning_avatar())).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        renderer.export(folder.path(), 128).unwrap();
+        let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
+        let texture = image::load_from_memory(&read("texture.png")).unwrap();
+        assert_eq!((texture.width(), texture.height()), (128, 128));
+        let glb = read("avatar.glb");
+        assert!(glb.windows(8).any(|w| w == &read("texture.png")[..8]), "the texture is inside the GLB");
+        let mesh = ply::read(read("mesh.ply").as_slice()).unwrap();
+        assert_eq!((mesh.vertices.len(), mesh.colours.len()), (634, 634));
+        assert_eq!(AvatarModel::load(&folder.path().join("model.npz")).unwrap(), **renderer.model());
+        assert!(read("motion.npz").len() > 1000);
+    }
+
+    #[test]
+    fn a_posed_mesh_stands_where_the_frame_was() {
+        let Some(gpu) = gpu("export::a_posed_mesh_stands_where_the_frame_was") else { return };
+        let renderer = Renderer::new(&gpu, &Arc::new(turning_avatar())).unwrap();
+        let mesh = renderer.mesh(Some(2)).unwrap().unwrap();
+        let mean_z = mesh.vertices.iter().map(|v| v[2]).sum::<f32>() / mesh.vertices.len() as f32;
+        assert!((mean_z - 3.0).abs() < 0.2, "{mean_z}");
+        assert!(renderer.mesh(Some(5)).unwrap().is_none());
+    }
+}
