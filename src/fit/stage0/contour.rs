@@ -8,7 +8,7 @@ use super::problem::{ContourPoint, Pinhole, Problem};
 use super::rig::{Point, Posed};
 use super::silhouette::{Field, Grid, fill};
 use super::state::State;
-use super::{Candidate, Stage0Error, Stage0Report, sides};
+use super::{Candidate, Clock, Stage0Error, Stage0Report, sides};
 use crate::body::{Body, N_JOINTS};
 use crate::capture::{Capture, Frame};
 
@@ -37,9 +37,8 @@ pub fn refine(
     best: &mut Candidate,
     body: &Body,
     capture: &Capture,
-    iterations: usize,
     report: &mut Stage0Report,
-    go_on: &mut dyn FnMut() -> bool,
+    clock: &mut Clock,
 ) -> Result<(), Stage0Error> {
     let masks: Vec<Option<Field>> = capture.frames.iter().map(mask_field).collect();
     let found = masks.iter().flatten().count();
@@ -63,7 +62,7 @@ pub fn refine(
     let mut known = HashMap::new();
     for _ in 0..ROUNDS {
         outline(&best.state).attach(&mut best.problem, &best.state, &masks, &mut known);
-        best.descend(iterations, 1e-3, go_on)?;
+        best.descend(1e-3, clock)?;
         report.costs.push(best.cost);
     }
     report.mask_iou = outline(&best.state).overlap(&best.problem, &best.state, capture, &masks) as f32;

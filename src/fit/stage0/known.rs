@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::problem::Problem;
 use super::rotation;
 use super::setup;
 use super::sides;
@@ -10,9 +11,11 @@ use super::{Candidate, Stage0Error, Stage0Report};
 use crate::body::{Body, N_JOINTS};
 use crate::capture::{Capture, KnownPoses};
 
-/// Steps of the search for a shift that all frames share, and its spread, metres.
+/// Steps of the search for a shift that all frames share, and its spread along the world's axes, metres: another
+/// body's pelvis stands higher or lower at the origin, hardly to the side. Above all the distance is kept, since
+/// it tells the person's size.
 const SHIFT_STEPS: usize = 12;
-const SHIFT_SIGMA: f64 = 0.15;
+const SHIFT_SIGMA: DVec3 = DVec3::new(0.002, 0.2, 0.002);
 /// Shifts below this are the fit's own business, metres.
 const SHIFT_OF_NOTE: f64 = 0.03;
 
@@ -28,9 +31,9 @@ pub fn candidate(
     if known.poses.len() != n || known.trans.len() != n {
         return Err(Stage0Error::PoseCount { found: known.poses.len().min(known.trans.len()), expected: n });
     }
-    let mut shared = setup::mean_shape(body.n_betas);
+    let mut shared = setup::mean_shape(problem.rig.n_betas());
     if let Some(betas) = known.betas.as_ref().filter(|b| b.len() == body.n_betas) {
-        shared.betas = betas.iter().map(|b| f64::from(*b)).collect();
+        shared.betas.iter_mut().zip(betas).for_each(|(b, given)| *b = f64::from(*given));
     }
     let rest_pelvis = if known.is_pelvis { DVec3::ZERO } else { problem.rig.rest_joints(&shared.betas)[0] };
     let to_camera = camera_rotation(capture);
@@ -53,12 +56,12 @@ pub fn candidate(
     let mut state = State { frames, shared };
     let mut scales = setup::rough_scales(&problem, &state);
     if !known.is_pelvis {
-        let shift = common_shift(&problem, &state, scales.sigma_px);
+        let shift = common_shift(&problem, &state, &to_camera, scales.sigma_px);
         if shift.length() > SHIFT_OF_NOTE {
             state.frames.iter_mut().for_each(|f| f.pelvis += shift);
             report.notes.push(format!(
-                "poses: `trans` moved by {:.2} {:.2} {:.2} m to meet the keypoints: it seems to belong to a body \
-                 with another pelvis",
+                "poses: `trans` moved by {:.2} {:.2} {:.2} m (camera axes) to meet the keypoints: it seems to belong \
+                 to a body with another pelvis",
                 shift.x, shift.y, shift.z
             ));
         }
@@ -75,12 +78,13 @@ pub fn camera_rotation(capture: &Capture) -> DMat3 {
 
 /// A displacement in camera space that brings all frames nearer to their keypoints: Gauss–Newton with
 /// Geman–McClure weights.
-fn common_shift(problem: &super::problem::Problem, start: &State, sigma_px: f64) -> DVec3 {
+fn common_shift(problem: &Problem, start: &State, to_camera: &DMat3, sigma_px: f64) -> DVec3 {
     let mut state = start.clone();
     let mut shift = DVec3::ZERO;
+    let certainty = *to_camera * DMat3::from_diagonal((SHIFT_SIGMA * SHIFT_SIGMA).recip()) * to_camera.transpose();
     for _ in 0..SHIFT_STEPS {
-        let mut h = DMat3::from_diagonal(DVec3::splat(1.0 / (SHIFT_SIGMA * SHIFT_SIGMA)));
-        let mut g = shift / (SHIFT_SIGMA * SHIFT_SIGMA);
+        let mut h = certainty;
+        let mut g = certainty * shift;
         for (t, frame) in state.frames.iter().enumerate() {
             let posed = problem.rig.pose(frame, &state.shared);
             for (k, seen) in problem.observations[t].iter().enumerate().filter(|(_, o)| o.weight > 0.0) {

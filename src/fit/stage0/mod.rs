@@ -3,7 +3,7 @@
 //!
 //! One nonlinear least-squares problem over all frames: keypoints under a Geman–McClure loss (Bogo et al. 2016),
 //! the mask's edge, a standing prior with joint limits, and smoothness that expects a steady turn
-//! (`problem`). Its normal equations are an arrow on a block tridiagonal and are solved directly (`normal`).
+//! (`problem`, `expectation`). Its normal equations are an arrow on a block tridiagonal and are solved directly (`normal`).
 //! Because the problem has many minima, it starts from a search over facings, directions of the turn and
 //! swapped sides (`placement`), and frames are read anew between the rounds of descent (`sides`).
 //!
@@ -11,6 +11,7 @@
 //! as it was, so size comes from the shape prior.
 
 mod contour;
+mod expectation;
 mod known;
 mod landmarks;
 mod minimise;
@@ -57,7 +58,7 @@ impl Default for Stage0Options {
 /// Body parameters of every frame, in the world of the capture's camera.
 #[derive(Clone, Debug)]
 pub struct Stage0Result {
-    /// `[B]`
+    /// `[B]`; only the first 16 are fitted, others are zero.
     pub betas: Vec<f32>,
     /// `[N][72]`
     pub poses: Vec<[f32; 72]>,
@@ -137,33 +138,40 @@ pub fn solve(
         candidates.iter_mut().for_each(|c| c.problem.stature.measured(height));
     }
     let rounds = ROUGH_ROUNDS * candidates.len() + FINE_ROUNDS + if options.use_masks { contour::ROUNDS } else { 0 };
-    let mut done = 0;
-    let mut step = || {
-        done += 1;
-        progress((done as f32 / (rounds * options.iterations.max(1)) as f32).min(1.0))
-    };
+    let mut clock = Clock { progress, rounds, iterations: options.iterations.max(1), round: 0, step: 0 };
     for candidate in &mut candidates {
         for round in 0..ROUGH_ROUNDS {
             if round > 0 {
                 candidate.tighten(ROUGH_RHO);
             }
-            candidate.descend(options.iterations, 1e-3, &mut step)?;
+            candidate.descend(1e-3, &mut clock)?;
         }
     }
-    let mut best = candidates.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).ok_or(Stage0Error::NobodyFound)?;
+    let mut best = likeliest(candidates).ok_or(Stage0Error::NobodyFound)?;
     report.costs.push(best.cost);
     for _ in 0..FINE_ROUNDS {
         best.tighten(FINE_RHO);
-        best.descend(options.iterations, 1e-4, &mut step)?;
+        best.descend(1e-4, &mut clock)?;
         report.costs.push(best.cost);
     }
     if options.use_masks {
-        contour::refine(&mut best, body, capture, options.iterations, &mut report, &mut step)?;
+        contour::refine(&mut best, body, capture, &mut report, &mut clock)?;
     }
     if !best.cost.is_finite() {
         return Err(Stage0Error::Diverged);
     }
-    Ok(report::result(&best, capture, report))
+    Ok(report::result(&best, body, capture, report))
+}
+
+/// The candidate of least cost, all measured with the finest noise that one of them reached: a bad reading would
+/// hide behind a noise of its own.
+fn likeliest(mut candidates: Vec<Candidate>) -> Option<Candidate> {
+    let finest = candidates.iter().map(|c| c.scales.sigma_px).min_by(f64::total_cmp)?;
+    for candidate in &mut candidates {
+        let scales = Scales { sigma_px: finest, rho: ROUGH_RHO, ..candidate.scales };
+        candidate.cost = candidate.problem.evaluate(&candidate.state, &scales, None);
+    }
+    candidates.into_iter().min_by(|a, b| a.cost.total_cmp(&b.cost))
 }
 
 /// Rounds with wide scales, to tell the readings apart, and rounds that settle the noise.
@@ -182,14 +190,31 @@ impl Candidate {
         self.scales.rho = rho;
     }
 
-    fn descend(
-        &mut self,
-        iterations: usize,
-        tolerance: f64,
-        go_on: &mut dyn FnMut() -> bool,
-    ) -> Result<(), Stage0Error> {
-        let descent = minimise(&self.problem, self.state.clone(), &self.scales, iterations, tolerance, go_on);
+    fn descend(&mut self, tolerance: f64, clock: &mut Clock) -> Result<(), Stage0Error> {
+        let iterations = clock.iterations;
+        let mut go_on = || clock.tick();
+        let descent = minimise(&self.problem, self.state.clone(), &self.scales, iterations, tolerance, &mut go_on);
         (self.state, self.cost) = (descent.state, descent.cost);
+        clock.round += 1;
+        clock.step = 0;
         if descent.finished { Ok(()) } else { Err(Stage0Error::Stopped) }
+    }
+}
+
+/// Tells how far the work is, and hears whether to go on.
+struct Clock<'a> {
+    progress: &'a mut dyn FnMut(f32) -> bool,
+    rounds: usize,
+    /// At most, a round.
+    iterations: usize,
+    round: usize,
+    step: usize,
+}
+
+impl Clock<'_> {
+    fn tick(&mut self) -> bool {
+        self.step += 1;
+        let rounds = self.round as f32 + self.step as f32 / self.iterations as f32;
+        (self.progress)(rounds / self.rounds as f32)
     }
 }

@@ -86,13 +86,13 @@ impl Prior {
         joints.extend(pair(7, v(0.0, 0.0, -0.1), v(0.1, 0.06, 0.08), 0.01, any.0, any.1));
         joints.extend(pair(13, v(0.0, 0.0, 0.0), v(0.03, 0.04, 0.05), 0.006, any.0, any.1));
         // Shoulders: arms some 43° down; a twist only as far as bent elbows ask for it.
-        joints.extend(pair(16, v(0.0, 0.0, -0.75), v(0.25, 0.3, 0.4), 0.02, v(-1.5, -2.0, -1.7), v(1.5, 1.2, 1.6)));
+        joints.extend(pair(16, v(0.0, 0.0, -0.75), v(0.25, 0.3, 0.4), 0.05, v(-1.5, -2.0, -1.7), v(1.5, 1.2, 1.6)));
         // Elbows bend forwards only.
         joints.extend(pair(
             18,
             v(0.0, -0.25, 0.0),
             v(0.02, 0.3, 0.02),
-            0.02,
+            0.025,
             v(-free, -2.6, -free),
             v(free, 0.05, free),
         ));

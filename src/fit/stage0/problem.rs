@@ -1,12 +1,11 @@
-//! The residuals: keypoints, contours, priors and smoothness, and their share of the normal equations.
+//! The evidence's residuals, keypoints and contours, and their share of the normal equations.
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 
-use super::landmarks::{Landmark, N_OFFSETS};
+use super::landmarks::Landmark;
 use super::normal::Normal;
 use super::prior::{self, Prior};
 use super::rig::{Point, PointJacobian, Posed, Rig};
-use super::rotation;
 use super::state::{Frame, Layout, Shared, State};
 
 /// A pinhole without distortion, the person in camera space.
@@ -19,7 +18,7 @@ pub struct Pinhole {
 }
 
 /// Nearest depth that still counts as in front, metres.
-const NEAR: f64 = 0.05;
+pub const NEAR: f64 = 0.05;
 
 impl Pinhole {
     pub fn zoomed(&self, log_focal: f64) -> Self {
@@ -86,10 +85,6 @@ impl Stature {
     }
 }
 
-/// Poses that came with the clip: the fit may move only this far from them (1σ; radians, metres).
-const ANCHOR_ANGLE: f64 = 0.02;
-const ANCHOR_PLACE: f64 = 0.01;
-
 pub struct Problem {
     pub rig: Rig,
     pub layout: Layout,
@@ -123,12 +118,13 @@ fn offset_of(landmark: &Landmark, shared: &Shared) -> Option<(usize, DVec3, DVec
     Some((slot, shared.offsets[slot], DVec3::new(landmark.side, 1.0, 1.0)))
 }
 
-/// `(x/z, y/z, ln z)` and its Jacobian: in these coordinates a walk costs the same at every size of the scene,
-/// which one camera cannot tell, so that smoothness does not favour small bodies.
-fn relative_place(p: DVec3) -> (DVec3, DMat3) {
-    let z = p.z.max(NEAR);
-    let (x, y) = (p.x / z, p.y / z);
-    (DVec3::new(x, y, z.ln()), DMat3::from_cols(DVec3::X, DVec3::Y, DVec3::new(-x, -y, 1.0)) * (1.0 / z))
+/// One frame of a state, posed.
+struct Look<'a> {
+    t: usize,
+    posed: &'a Posed,
+    state: &'a State,
+    camera: &'a Pinhole,
+    scales: &'a Scales,
 }
 
 /// Buffers of one evaluation.
@@ -158,8 +154,9 @@ impl Problem {
         let mut cost = self.shared_prior(&state.shared, scales, normal.as_deref_mut());
         for (t, frame) in state.frames.iter().enumerate() {
             let posed = self.rig.pose(frame, &state.shared);
-            cost += self.keypoints(t, &posed, state, &camera, scales, &mut rows, normal.as_deref_mut());
-            cost += self.outline(t, &posed, state, &camera, scales, &mut rows, normal.as_deref_mut());
+            let look = Look { t, posed: &posed, state, camera: &camera, scales };
+            cost += self.keypoints(&look, &mut rows, normal.as_deref_mut());
+            cost += self.outline(&look, &mut rows, normal.as_deref_mut());
             cost += match &self.anchor {
                 Some(anchor) => self.anchored(t, frame, &anchor[t], normal.as_deref_mut()),
                 None => self.pose_prior(t, frame, normal.as_deref_mut()),
@@ -182,17 +179,8 @@ impl Problem {
         self.landmarks.iter().zip(&self.points).map(place).collect()
     }
 
-    #[expect(clippy::too_many_arguments, reason = "one pass over a frame, shared by cost and derivatives")]
-    fn keypoints(
-        &self,
-        t: usize,
-        posed: &Posed,
-        state: &State,
-        camera: &Pinhole,
-        scales: &Scales,
-        rows: &mut Rows,
-        mut normal: Option<&mut Normal>,
-    ) -> f64 {
+    fn keypoints(&self, look: &Look, rows: &mut Rows, mut normal: Option<&mut Normal>) -> f64 {
+        let Look { t, posed, state, camera, scales } = *look;
         let mut cost = 0.0;
         let information = 1.0 / (scales.sigma_px * scales.sigma_px);
         for (k, seen) in self.observations[t].iter().enumerate().filter(|(_, o)| o.weight > 0.0) {
@@ -226,17 +214,8 @@ impl Problem {
         cost
     }
 
-    #[expect(clippy::too_many_arguments, reason = "one pass over a frame, shared by cost and derivatives")]
-    fn outline(
-        &self,
-        t: usize,
-        posed: &Posed,
-        state: &State,
-        camera: &Pinhole,
-        scales: &Scales,
-        rows: &mut Rows,
-        mut normal: Option<&mut Normal>,
-    ) -> f64 {
+    fn outline(&self, look: &Look, rows: &mut Rows, mut normal: Option<&mut Normal>) -> f64 {
+        let Look { t, posed, state, camera, scales } = *look;
         let mut cost = 0.0;
         let points = if scales.contour_weight > 0.0 { self.contours.get(t) } else { None };
         for contour in points.into_iter().flatten() {
@@ -258,141 +237,6 @@ impl Problem {
                 rows.along(slope, self.layout.focal_column(), zoom);
                 let weight = scales.contour_weight * influence / (sigma * sigma);
                 normal.add(t, &rows.frame, &rows.shared, error, weight);
-            }
-        }
-        cost
-    }
-
-    fn shared_prior(&self, shared: &Shared, scales: &Scales, mut normal: Option<&mut Normal>) -> f64 {
-        let grown: f64 = self.stature.slopes.iter().zip(&shared.betas).map(|(s, b)| s * b).sum();
-        let taller = self.stature.template + grown - self.stature.expected;
-        let weight = scales.shape_weight / (self.stature.sigma * self.stature.sigma);
-        let mut cost = 0.5 * weight * taller * taller;
-        if let Some(normal) = normal.as_deref_mut() {
-            let slopes: Vec<_> =
-                self.stature.slopes.iter().enumerate().map(|(b, s)| (self.layout.beta_column(b), *s)).collect();
-            normal.add(0, &[], &slopes, taller, weight);
-        }
-        let mut pull = |column: usize, value: f64, sigma: f64| {
-            let weight = 1.0 / (sigma * sigma);
-            cost += 0.5 * weight * value * value;
-            if let Some(normal) = normal.as_deref_mut() {
-                normal.add(0, &[], &[(column, 1.0)], value, weight);
-            }
-        };
-        for (b, beta) in shared.betas.iter().enumerate() {
-            pull(self.layout.beta_column(b), *beta, scales.shape_weight.sqrt().recip());
-        }
-        for slot in 0..N_OFFSETS {
-            for axis in 0..3 {
-                pull(self.layout.offset_column(slot) + axis, shared.offsets[slot][axis], prior::OFFSET_SIGMA);
-            }
-        }
-        pull(self.layout.focal_column(), shared.log_focal, self.focal_sigma);
-        cost
-    }
-
-    fn pose_prior(&self, t: usize, frame: &Frame, mut normal: Option<&mut Normal>) -> f64 {
-        // The body's up axis leans along x and z of its own frame: the camera's up is −y.
-        let up = frame.root.transpose() * DVec3::NEG_Y;
-        let weight = 1.0 / (prior::UPRIGHT_SIGMA * prior::UPRIGHT_SIGMA);
-        let mut cost = 0.5 * weight * (up.x * up.x + up.z * up.z);
-        if let Some(normal) = normal.as_deref_mut() {
-            // d(Rᵀ u) = up × δ
-            let turns = rotation::skew(up);
-            for axis in [0, 2] {
-                let slopes = [0, 1, 2].map(|c| (c, turns.col(c)[axis]));
-                normal.add(t, &slopes, &[], up[axis], weight);
-            }
-        }
-        let mut pull = |column: usize, residual: f64, sigma: f64| {
-            let weight = 1.0 / (sigma * sigma);
-            cost += 0.5 * weight * residual * residual;
-            if let Some(normal) = normal.as_deref_mut() {
-                normal.add(t, &[(column, 1.0)], &[], residual, weight);
-            }
-        };
-        for p in &self.prior.joints {
-            let Some(column) = self.layout.joint_column(p.joint) else { continue };
-            for axis in 0..3 {
-                let angle = frame.theta[p.joint][axis];
-                pull(column + axis, angle - p.mean[axis], p.sigma[axis]);
-                let over = angle - angle.clamp(p.low[axis], p.high[axis]);
-                if over != 0.0 {
-                    pull(column + axis, over, prior::LIMIT_SIGMA);
-                }
-            }
-        }
-        cost
-    }
-
-    fn anchored(&self, t: usize, frame: &Frame, given: &Frame, mut normal: Option<&mut Normal>) -> f64 {
-        let mut cost = 0.0;
-        let mut pull = |column: usize, value: f64, sigma: f64| {
-            let weight = 1.0 / (sigma * sigma);
-            cost += 0.5 * weight * value * value;
-            if let Some(normal) = normal.as_deref_mut() {
-                normal.add(t, &[(column, 1.0)], &[], value, weight);
-            }
-        };
-        // Small turns: the difference's own Jacobian is the identity.
-        let turn = rotation::log(given.root.transpose() * frame.root);
-        for axis in 0..3 {
-            pull(axis, turn[axis], ANCHOR_ANGLE);
-            pull(Layout::PELVIS + axis, frame.pelvis[axis] - given.pelvis[axis], ANCHOR_PLACE);
-        }
-        pull(Layout::TURN_RATE, frame.turn_rate - given.turn_rate, 1.0);
-        for j in self.prior.joints() {
-            let Some(column) = self.layout.joint_column(j) else { continue };
-            for axis in 0..3 {
-                pull(column + axis, frame.theta[j][axis] - given.theta[j][axis], ANCHOR_ANGLE);
-            }
-        }
-        cost
-    }
-
-    /// A random walk of every angle and of the place; the root turns about its own up axis at a rate that
-    /// changes slowly: `log(R_tᵀ R_{t+1}) ≈ (0, rate·Δ, 0)`.
-    fn smoothness(&self, t: usize, state: &State, mut normal: Option<&mut Normal>) -> f64 {
-        let (this, next) = (&state.frames[t], &state.frames[t + 1]);
-        let gap = self.gaps[t];
-        let mut cost = 0.0;
-        let mut tie = |a: &[(usize, f64)], b: &[(usize, f64)], residual: f64, sigma: f64| {
-            let weight = 1.0 / (sigma * sigma * gap);
-            cost += 0.5 * weight * residual * residual;
-            if let Some(normal) = normal.as_deref_mut() {
-                normal.add_pair(t, a, b, residual, weight);
-            }
-        };
-        let turn = rotation::log(this.root.transpose() * next.root);
-        let (into_this, into_next): (DMat3, DMat3) =
-            (-rotation::left_jacobian_inverse(turn), rotation::left_jacobian_inverse(-turn));
-        for axis in 0..3 {
-            let mut a = [0, 1, 2, Layout::TURN_RATE].map(|c| (c, 0.0));
-            let mut b = [(0, 0.0); 3];
-            for c in 0..3 {
-                a[c].1 = into_this.col(c)[axis];
-                b[c] = (c, into_next.col(c)[axis]);
-            }
-            let mut residual = turn[axis];
-            if axis == 1 {
-                residual -= this.turn_rate * gap;
-                a[3].1 = -gap;
-            }
-            tie(&a, &b, residual, prior::TILT_DRIFT);
-        }
-        let (this_place, next_place) = (relative_place(this.pelvis), relative_place(next.pelvis));
-        for axis in 0..3 {
-            let slopes = |of: DMat3, sign: f64| [0, 1, 2].map(|c| (Layout::PELVIS + c, sign * of.col(c)[axis]));
-            let change = next_place.0[axis] - this_place.0[axis];
-            tie(&slopes(this_place.1, -1.0), &slopes(next_place.1, 1.0), change, prior::PELVIS_DRIFT);
-        }
-        let mut walk = |column: usize, change: f64, sigma: f64| tie(&[(column, -1.0)], &[(column, 1.0)], change, sigma);
-        walk(Layout::TURN_RATE, next.turn_rate - this.turn_rate, prior::TURN_DRIFT);
-        for p in &self.prior.joints {
-            let Some(column) = self.layout.joint_column(p.joint) else { continue };
-            for axis in 0..3 {
-                walk(column + axis, next.theta[p.joint][axis] - this.theta[p.joint][axis], p.drift);
             }
         }
         cost

@@ -4,10 +4,10 @@ use glam::DVec3;
 
 use super::known::camera_rotation;
 use super::{Candidate, Stage0Report, Stage0Result, rotation, sides};
-use crate::body::N_JOINTS;
+use crate::body::{Body, N_JOINTS};
 use crate::capture::Capture;
 
-pub fn result(best: &Candidate, capture: &Capture, mut report: Stage0Report) -> Stage0Result {
+pub fn result(best: &Candidate, body: &Body, capture: &Capture, mut report: Stage0Report) -> Stage0Result {
     let state = &best.state;
     let to_world = camera_rotation(capture).transpose();
     let camera_shift = DVec3::from_array(capture.camera.translation);
@@ -27,9 +27,12 @@ pub fn result(best: &Candidate, capture: &Capture, mut report: Stage0Report) -> 
     let zoomed = best.problem.camera.zoomed(state.shared.log_focal);
     if capture.camera_estimated {
         (camera.fx, camera.fy) = (zoomed.fx, zoomed.fy);
+        report.notes.push(format!("the camera's focal length was estimated: {:.0} px", zoomed.fx));
     }
     describe(best, &mut report);
-    Stage0Result { betas: state.shared.betas.iter().map(|b| *b as f32).collect(), poses, transl, camera, report }
+    let mut betas = vec![0.0; body.n_betas];
+    betas.iter_mut().zip(&state.shared.betas).for_each(|(b, found)| *b = *found as f32);
+    Stage0Result { betas, poses, transl, camera, report }
 }
 
 fn describe(best: &Candidate, report: &mut Stage0Report) {

@@ -7,6 +7,9 @@ use super::rotation;
 use super::state::{Frame, Layout, Shared};
 use crate::body::{Body, KeypointSource, N_JOINTS, PARENTS};
 
+/// Shape components that are fitted: the first ones, which hold nearly all of the variance.
+pub const MOST_BETAS: usize = 16;
+
 /// One joint's share of a point under linear blend skinning.
 #[derive(Clone, Debug)]
 struct Influence {
@@ -54,10 +57,10 @@ fn dvec(v: [f32; 3]) -> DVec3 {
     DVec3::new(v[0].into(), v[1].into(), v[2].into())
 }
 
-/// The shape directions of item `i` of a `[N, 3, B]` array.
+/// The fitted shape directions of item `i` of a `[N, 3, B]` array.
 fn dirs_of(dirs: &[f32], i: usize, n_betas: usize) -> Vec<DVec3> {
     let at = |axis: usize, b: usize| f64::from(dirs[(i * 3 + axis) * n_betas + b]);
-    (0..n_betas).map(|b| DVec3::new(at(0, b), at(1, b), at(2, b))).collect()
+    (0..n_betas.min(MOST_BETAS)).map(|b| DVec3::new(at(0, b), at(1, b), at(2, b))).collect()
 }
 
 impl Rig {
@@ -70,6 +73,7 @@ impl Rig {
         Self { joints, joint_dirs }
     }
 
+    /// Of the fit; the body may have more.
     pub fn n_betas(&self) -> usize {
         self.joint_dirs[0].len()
     }
@@ -123,8 +127,7 @@ impl Rig {
         let added = offset.map_or(DVec3::ZERO, |(_, value, factors)| value * factors);
         // Sums over the influences that hang below each joint.
         let mut below = [(0.0, DVec3::ZERO); N_JOINTS];
-        let mut shape = [DVec3::ZERO; 64];
-        let n_betas = self.n_betas().min(shape.len());
+        let mut shape = vec![DVec3::ZERO; self.n_betas()];
         let mut turned = DMat3::ZERO;
         let mut total = DVec3::ZERO;
         for influence in &point.influences {
@@ -133,9 +136,9 @@ impl Rig {
             let place = posed.rotations[j] * arm + posed.positions[j] * w;
             total += place;
             turned += posed.rotations[j] * w;
-            for b in 0..n_betas {
+            for (b, slope) in shape.iter_mut().enumerate() {
                 let moved = influence.dirs[b] - self.joint_dirs[j][b] * w;
-                shape[b] += posed.rotations[j] * moved + posed.d_positions[j][b] * w;
+                *slope += posed.rotations[j] * moved + posed.d_positions[j][b] * w;
             }
             let mut ancestor = j as i32;
             while ancestor >= 0 {
@@ -158,7 +161,7 @@ impl Rig {
         for axis in 0..3 {
             out.frame.push((Layout::PELVIS + axis, DVec3::AXES[axis]));
         }
-        out.shared.extend((0..n_betas).map(|b| (layout.beta_column(b), shape[b])));
+        out.shared.extend(shape.iter().enumerate().map(|(b, slope)| (layout.beta_column(b), *slope)));
         if let Some((slot, _, factors)) = offset {
             for axis in 0..3 {
                 if factors[axis] != 0.0 {

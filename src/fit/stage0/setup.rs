@@ -7,7 +7,7 @@ use super::landmarks::landmarks;
 use super::placement::{self, Placement};
 use super::prior::{self, Prior};
 use super::problem::{Observation, Pinhole, Problem, Scales, Stature};
-use super::rig::{Point, Rig};
+use super::rig::{MOST_BETAS, Point, Rig};
 use super::sides;
 use super::state::{Frame, Layout, Shared, State};
 use super::{Candidate, Stage0Error};
@@ -78,7 +78,7 @@ fn stature(body: &Body) -> Stature {
     let template = f64::from(body.v_template[highest][1] - body.v_template[lowest][1]);
     Stature {
         template,
-        slopes: (0..body.n_betas).map(|b| rise(highest, b) - rise(lowest, b)).collect(),
+        slopes: (0..body.n_betas.min(MOST_BETAS)).map(|b| rise(highest, b) - rise(lowest, b)).collect(),
         expected: template,
         sigma: prior::STATURE_SIGMA,
     }

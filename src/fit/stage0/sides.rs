@@ -54,7 +54,7 @@ pub fn reread(problem: &mut Problem, state: &State, scales: &Scales, swapped: &m
     let camera = problem.camera.zoomed(state.shared.log_focal);
     let information = 1.0 / (scales.sigma_px * scales.sigma_px);
     let limit = scales.rho * scales.rho;
-    for t in 0..state.frames.len() {
+    for (t, flags) in swapped.iter_mut().enumerate() {
         let posed = problem.rig.pose(&state.frames[t], &state.shared);
         let places = problem.landmarks_at(&posed, state, &camera);
         for (g, group) in GROUPS.into_iter().enumerate() {
@@ -73,7 +73,7 @@ pub fn reread(problem: &mut Problem, state: &State, scales: &Scales, swapped: &m
             }
             if exchanged + MARGIN < kept {
                 swap_group(problem, t, g);
-                swapped[t][g] ^= true;
+                flags[g] ^= true;
             }
         }
     }

@@ -94,7 +94,7 @@ impl State {
     pub fn stepped(&self, layout: &Layout, step: &Step) -> State {
         let mut next = self.clone();
         for (frame, d) in next.frames.iter_mut().zip(step.frames.chunks_exact(layout.n_frame)) {
-            frame.root = frame.root * rotation::exp(vec3(d));
+            frame.root *= rotation::exp(vec3(d));
             frame.pelvis += vec3(&d[Layout::PELVIS..]);
             frame.turn_rate += d[Layout::TURN_RATE];
             for j in 1..N_JOINTS {

@@ -5,7 +5,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg32;
 
 use super::landmarks::N_OFFSETS;
-use super::landmarks::{GROUPS, landmarks};
+use super::landmarks::{GROUPS, Part, landmarks};
 use super::problem::Pinhole;
 use super::rig::{Point, Rig};
 use super::silhouette::{Grid, fill};
@@ -37,6 +37,12 @@ pub struct Difficulty {
     pub focal_guess: Option<f64>,
     /// Faces of backs are still found, as sure as others.
     pub face_through_head: bool,
+    /// Every point is equally sure.
+    pub flat_confidence: bool,
+    /// By how much the camera looks down.
+    pub pitch_degrees: f64,
+    /// Hips and shoulders are found this much higher and farther in than the joints are, metres.
+    pub bias: f64,
     pub format: &'static str,
     /// With masks of the naked body.
     pub masks: bool,
@@ -58,6 +64,9 @@ impl Default for Difficulty {
             betas: vec![0.3, 0.0, -0.4],
             focal_guess: None,
             face_through_head: false,
+            flat_confidence: false,
+            pitch_degrees: 0.0,
+            bias: 0.0,
             format: "coco17",
             masks: false,
             seed: 1,
@@ -82,6 +91,7 @@ fn noise(rng: &mut Pcg32) -> f64 {
 
 /// The true poses.
 fn poses(how: &Difficulty) -> Vec<Pose> {
+    let down = DMat3::from_rotation_x(how.pitch_degrees.to_radians());
     let last = (how.frames - 1).max(1) as f64;
     let pose = |t: usize| {
         let at = t as f64 / last;
@@ -104,7 +114,7 @@ fn poses(how: &Difficulty) -> Vec<Pose> {
         theta[19].y = 0.2 + 0.06 * sway(1.4);
         let tilt = rotation::exp(DVec3::new(0.03 + 0.015 * sway(2.0), 0.0, 0.015 * sway(1.0)));
         Pose {
-            root: DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * tilt * DMat3::from_rotation_y(yaw),
+            root: down * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * tilt * DMat3::from_rotation_y(yaw),
             pelvis: DVec3::new(0.03 * sway(0.2), -0.01, 2.85 + 0.02 * sway(0.4)),
             turn_rate: 0.0,
             theta,
@@ -126,7 +136,12 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
     let mut frames = Vec::new();
     for (t, pose) in poses.iter().enumerate() {
         let posed = rig.pose(pose, &shared);
-        let places: Vec<DVec3> = points.iter().map(|p| posed.place(p, &shared.betas, DVec3::ZERO)).collect();
+        let added = |k: usize| match marks[k].part {
+            Part::Hip | Part::Shoulder => DVec3::new(-marks[k].side, 1.0, 0.0) * how.bias,
+            _ => DVec3::ZERO,
+        };
+        let places: Vec<DVec3> =
+            points.iter().enumerate().map(|(k, p)| posed.place(p, &shared.betas, added(k))).collect();
         let forward = pose.root.z_axis.z;
         let shows_back = forward > 0.2;
         let mut keypoints: Vec<[f32; 3]> = Vec::new();
@@ -136,7 +151,8 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
             at.y += how.noise_px * noise(&mut rng);
             let hidden_face = marks[k].part.group() == GROUPS[0] && shows_back && !how.face_through_head;
             let hidden_side = marks[k].side != 0.0 && place.z > places[marks[k].partner].z + 0.15;
-            let mut confidence = if hidden_face || hidden_side { 0.3 } else { 0.9 };
+            let unsure = (hidden_face || hidden_side) && !how.flat_confidence;
+            let mut confidence = if unsure { 0.3 } else { 0.9 };
             if rng.random::<f64>() < how.wrong {
                 at.x = rng.random_range(0.0..f64::from(SIDE_PX));
                 at.y = rng.random_range(0.0..f64::from(SIDE_PX));

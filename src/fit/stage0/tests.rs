@@ -5,7 +5,7 @@ use super::rotation;
 use super::setup;
 use super::silhouette::{Field, Grid};
 use super::state::{Frame as Pose, Layout, State, Step};
-use super::synthetic::{Clip, Difficulty, Errors, clip, errors};
+use super::synthetic::{self, Clip, Difficulty, Errors, clip, errors};
 use super::{Stage0Error, Stage0Options, Stage0Result, solve};
 use crate::body::Body;
 use crate::capture::KnownPoses;
@@ -233,10 +233,57 @@ fn given_poses_are_kept_and_give_the_shape() {
     let errors = errors(&body, &clip, &result);
     assert!(errors.joints < 0.015, "{errors:?} {:?}", result.betas);
     assert!((0.4..0.9).contains(&result.betas[1]), "{:?}", result.betas);
-    let poses = &mut clip.capture.poses.as_mut().unwrap().poses;
-    poses[4].pop();
+
+    // `trans` of another body, whose pelvis stands 20 cm lower.
+    let known = clip.capture.poses.as_mut().unwrap();
+    known.is_pelvis = false;
+    known.trans.iter_mut().for_each(|p| p[1] += 0.2);
+    let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
+    let errors = synthetic::errors(&body, &clip, &result);
+    assert!(errors.joints < 0.02, "{errors:?} {:?}", result.report.notes);
+    assert_eq!(result.report.notes.len(), 1, "{:?}", result.report.notes);
+
+    clip.capture.poses.as_mut().unwrap().poses[4].pop();
     let error = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap_err();
     assert!(matches!(error, Stage0Error::PoseLength { frame: 4, found: 71 }), "{error}");
+}
+
+#[test]
+fn frames_without_points_are_bridged() {
+    let body = Body::test_body();
+    let mut clip = clip(&body, &Difficulty { seed: 15, ..Difficulty::default() });
+    for frame in &mut clip.capture.frames[11..14] {
+        frame.keypoints.iter_mut().for_each(|k| *k = [0.0; 3]);
+    }
+    let options = Stage0Options { use_masks: false, ..Stage0Options::default() };
+    let result = solve(&body, &clip.capture, &options, &mut |_| true).unwrap();
+    let errors = errors(&body, &clip, &result);
+    assert!(errors.scaled < 0.025 && errors.facing_degrees < 12.0, "{errors:?}");
+    assert!(result.report.residual_px[12].is_nan());
+}
+
+#[test]
+fn a_single_frame() {
+    let how = Difficulty { frames: 1, start_degrees: 20.0, dropped: 0.0, seed: 16, ..Difficulty::default() };
+    let (_, _, errors) = solved(&how);
+    assert!(errors.scaled < 0.06 && errors.facing_degrees < 25.0, "{errors:?}");
+}
+
+#[test]
+fn a_camera_that_looks_down() {
+    recovers(&Difficulty { pitch_degrees: 15.0, seed: 17, ..Difficulty::default() }, 0.02, 6.0);
+}
+
+#[test]
+fn hips_and_shoulders_that_are_not_where_the_joints_are() {
+    recovers(&Difficulty { bias: 0.03, seed: 18, ..Difficulty::default() }, 0.025, 7.0);
+}
+
+#[test]
+fn a_detector_that_takes_backs_for_fronts() {
+    let how =
+        Difficulty { flat_confidence: true, swapped_backs: 1.0, face_through_head: true, ..Difficulty::default() };
+    recovers(&Difficulty { seed: 19, ..how }, 0.025, 7.0);
 }
 
 #[test]
@@ -249,6 +296,20 @@ fn an_empty_clip_says_that_nobody_is_there() {
     clip.capture.frames[3].keypoints.pop();
     let error = solve(&body, &clip.capture, &options, &mut |_| true).unwrap_err();
     assert!(matches!(error, Stage0Error::KeypointCount { frame: 3, found: 16, expected: 17 }), "{error}");
+}
+
+#[test]
+fn progress_grows_towards_the_end() {
+    let body = Body::test_body();
+    let clip = clip(&body, &Difficulty { frames: 6, masks: true, ..Difficulty::default() });
+    let mut last = 0.0;
+    let mut progress = |p: f32| {
+        assert!(last < p && p <= 1.0, "{last} {p}");
+        last = p;
+        true
+    };
+    solve(&body, &clip.capture, &Stage0Options::default(), &mut progress).unwrap();
+    assert!(last > 0.85, "{last}");
 }
 
 #[test]
