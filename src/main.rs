@@ -21,6 +21,14 @@ enum Command {
     Eval(cli::eval::Args),
     /// Make a clip of a clothed person, with truth.
     Synth(cli::synth::Args),
+    /// Time the operators on this device.
+    Bench(cli::bench::Args),
+    /// Run the service: the API and its worker.
+    Serve(cli::serve::Args),
+    /// Run jobs of a data folder, without an API.
+    Worker(cli::worker::Args),
+    /// Print the description of the API.
+    Openapi,
 }
 
 fn main() -> anyhow::Result<()> {
@@ -29,5 +37,9 @@ fn main() -> anyhow::Result<()> {
         Command::Render(args) => cli::render::run(args),
         Command::Eval(args) => cli::eval::run(args),
         Command::Synth(args) => cli::synth::run(args),
+        Command::Bench(args) => cli::bench::run(args),
+        Command::Serve(args) => cli::serve::run(args),
+        Command::Worker(args) => cli::worker::run(args),
+        Command::Openapi => cli::openapi::run(),
     }
 }

@@ -1,6 +1,7 @@
 // Adds to grad_coords what grad_encoded says. A coordinate outside [0, 1] was clamped: it gets no gradient.
 #import shared/linear_index
 #import shared/hash_grid
+#const LANES: u32 = 256u
 #const ENCODED4: u32 = 6u
 
 struct Params {
@@ -18,9 +19,9 @@ struct Params {
 @group(0) @binding(4) var<storage, read> grad_encoded: array<vec2<f32>>;
 @group(0) @binding(5) var<storage, read_write> grad_coords: array<f32>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(LANES)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let p = linear_index(id, groups, 64u);
+    let p = linear_index(id, groups, LANES);
     if p >= min(params.n_max, count[0]) {
         return;
     }

@@ -1,6 +1,7 @@
 // encoded[p] = trilinear interpolation of the table at coords[p], level by level.
 #import shared/linear_index
 #import shared/hash_grid
+#const LANES: u32 = 256u
 #const ENCODED4: u32 = 6u
 
 struct Params {
@@ -17,9 +18,9 @@ struct Params {
 @group(0) @binding(3) var<storage, read> table: array<vec2<f32>>;
 @group(0) @binding(4) var<storage, read_write> encoded: array<vec2<f32>>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(LANES)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let p = linear_index(id, groups, 64u);
+    let p = linear_index(id, groups, LANES);
     if p >= min(params.n_max, count[0]) {
         return;
     }

@@ -2,10 +2,10 @@
 // reads the weights as mlp_forward does, for the same reason. Pixels without a gradient get zeros, because the weights'
 // gradient reads every listed pixel.
 #import shared/linear_index
+#const LANES: u32 = 256u
 #const ENCODED4: u32 = 6u
 #const HIDDEN4: u32 = 8u
 
-const LANES: u32 = 256u;
 const W1: u32 = 4u * ENCODED4 * HIDDEN4;
 const W2: u32 = W1 + 4u * HIDDEN4 * HIDDEN4;
 const WEIGHTS4: u32 = W2 + 4u * HIDDEN4;

@@ -3,10 +3,10 @@
 // reads of the copy are at constant addresses and outside of branches, which a software driver needs to read one value
 // for all its lanes. Therefore lanes past the list's end compute its last pixel again and store nothing.
 #import shared/linear_index
+#const LANES: u32 = 256u
 #const ENCODED4: u32 = 6u
 #const HIDDEN4: u32 = 8u
 
-const LANES: u32 = 256u;
 const W1: u32 = 4u * ENCODED4 * HIDDEN4;
 const W2: u32 = W1 + 4u * HIDDEN4 * HIDDEN4;
 const WEIGHTS4: u32 = W2 + 4u * HIDDEN4;

@@ -1,7 +1,12 @@
+pub mod bench;
 pub mod body;
 pub mod eval;
+pub mod openapi;
 pub mod render;
+pub mod serve;
+mod service;
 pub mod synth;
+pub mod worker;
 
 use std::time::Duration;
 

@@ -27,8 +27,15 @@ pub fn linear_groups(n: usize, workgroup_size: u32) -> [u32; 3] {
     [x, groups.div_ceil(x), 1]
 }
 
+/// How many workgroups run.
+enum Groups {
+    Counted([u32; 3]),
+    /// Read on the device from this byte on.
+    Stored(wgpu::Buffer, u64),
+}
+
 enum Command {
-    Dispatch { kernel: Arc<Kernel>, group: wgpu::BindGroup, groups: [u32; 3] },
+    Dispatch { kernel: Arc<Kernel>, group: wgpu::BindGroup, groups: Groups },
     Clear(wgpu::Buffer),
     Copy { from: wgpu::Buffer, to: wgpu::Buffer, bytes: u64 },
 }
@@ -53,9 +60,29 @@ impl<'g> Recorder<'g> {
 
     /// Records `groups` workgroups of `kernel` with `params` as uniform binding 0 and `buffers` as bindings 1…
     pub fn dispatch<P: Pod>(&mut self, kernel: &Arc<Kernel>, params: &P, buffers: &[&dyn AnyBuffer], groups: [u32; 3]) {
-        if groups.contains(&0) {
-            return;
+        if !groups.contains(&0) {
+            self.push(kernel, params, buffers, Groups::Counted(groups));
         }
+    }
+
+    /// As [`dispatch`](Self::dispatch), with the workgroups that a kernel before wrote: `groups[at .. at + 3]` along
+    /// x, y and z, each at most 65,535.
+    ///
+    /// # Panics
+    /// When `groups` is too short.
+    pub fn dispatch_indirect<P: Pod>(
+        &mut self,
+        kernel: &Arc<Kernel>,
+        params: &P,
+        buffers: &[&dyn AnyBuffer],
+        groups: &Buffer<u32>,
+        at: usize,
+    ) {
+        assert!(at + 3 <= groups.len(), "{}: no three numbers at {at}", groups.label());
+        self.push(kernel, params, buffers, Groups::Stored(groups.raw.clone(), 4 * at as u64));
+    }
+
+    fn push<P: Pod>(&mut self, kernel: &Arc<Kernel>, params: &P, buffers: &[&dyn AnyBuffer], groups: Groups) {
         let device = &self.gpu.device;
         let uniform = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some(&kernel.label),
@@ -125,10 +152,13 @@ impl<'g> Recorder<'g> {
                         timestamp_writes: None,
                     });
                     for command in &rest[..end] {
-                        if let Command::Dispatch { kernel, group, groups: [x, y, z] } = command {
+                        if let Command::Dispatch { kernel, group, groups } = command {
                             pass.set_pipeline(&kernel.pipeline);
                             pass.set_bind_group(0, group, &[]);
-                            pass.dispatch_workgroups(*x, *y, *z);
+                            match groups {
+                                Groups::Counted([x, y, z]) => pass.dispatch_workgroups(*x, *y, *z),
+                                Groups::Stored(buffer, offset) => pass.dispatch_workgroups_indirect(buffer, *offset),
+                            }
                         }
                     }
                     drop(pass);

@@ -9,6 +9,7 @@ mod error;
 mod extract;
 mod files;
 mod health;
+mod inspector;
 mod jobs;
 mod metrics;
 pub mod openapi;
@@ -29,6 +30,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 pub use app::{App, InspectError, Inspector, Limits, UploadedFiles};
+pub use inspector::ClipInspector;
 pub use server::serve;
 
 use error::ApiError;

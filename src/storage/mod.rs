@@ -57,6 +57,20 @@ impl Store {
         self.root.join("bodies")
     }
 
+    /// Names of the body models, sorted.
+    pub fn body_names(&self) -> io::Result<Vec<String>> {
+        let mut found = names(&self.bodies())?;
+        found.retain_mut(|name| match name.strip_suffix(".body.npz") {
+            Some(stem) => {
+                *name = stem.to_string();
+                true
+            }
+            None => false,
+        });
+        found.sort();
+        Ok(found)
+    }
+
     pub fn renders(&self) -> PathBuf {
         self.root.join("renders")
     }
@@ -126,6 +140,11 @@ impl Store {
         Ok(())
     }
 
+    /// Removes what one attempt made.
+    pub fn discard_results(&self, job: Uuid, epoch: i64) -> io::Result<()> {
+        remove_dir(&self.results(job, epoch))
+    }
+
     /// Removes what a killed server left half-written: uploads, deletions and renders on their way, and folders of
     /// jobs that never reached the queue. Only while no other server uses the folder.
     pub fn clean(&self, known: &HashSet<Uuid>) -> io::Result<()> {
@@ -143,6 +162,16 @@ impl Store {
             }
         }
         Ok(())
+    }
+
+    /// Makes this process the folder's only server for as long as the lock lives; None where there is one already.
+    pub fn lock_server(&self) -> io::Result<Option<File>> {
+        let lock = File::create(self.root.join("serve.lock"))?;
+        match lock.try_lock() {
+            Ok(()) => Ok(Some(lock)),
+            Err(fs::TryLockError::WouldBlock) => Ok(None),
+            Err(fs::TryLockError::Error(error)) => Err(error),
+        }
     }
 
     /// Jobs that have a folder.

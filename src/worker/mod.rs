@@ -1,3 +1,31 @@
 //! The worker: claims jobs, runs them on the device's own thread, and draws for the server.
+//!
+//! ```text
+//! server process                          worker process
+//!   http ── Supervisor ── JSON lines ──► channel ──► device thread ── Engine (fits and renders)
+//!              restarts it                  claims ──┘   ▲ stop, progress
+//!   reaper                                  runner ──────┘ heartbeat, events, publishing ──► queue, store
+//! ```
+//!
+//! A driver that crashes takes this process down, not the server; the lease of the job that it had is released as soon
+//! as the process is gone, because the lock on its file is gone too ([`owner`]).
 
+pub mod channel;
+mod claims;
+mod device_thread;
+mod engine;
+mod owner;
 pub mod pipeline;
+mod reaper;
+mod renders;
+mod runner;
+mod supervisor;
+#[cfg(test)]
+mod tests;
+
+pub use claims::{Worker, WorkerSettings};
+pub use device_thread::DeviceThread;
+pub use engine::{DeviceEngine, Engine, FitTask};
+pub use owner::Owner;
+pub use reaper::Reaper;
+pub use supervisor::{Supervisor, SupervisorSettings};

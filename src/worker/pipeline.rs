@@ -123,3 +123,15 @@ pub enum PipelineError {
     #[error("{0:#}")]
     Internal(#[from] anyhow::Error),
 }
+
+/// Runs a job.
+pub fn run(
+    _gpu: &Arc<Gpu>,
+    _input: &PipelineInput,
+    _data_dir: &std::path::Path,
+    _work_dir: &std::path::Path,
+    _out_dir: &std::path::Path,
+    _observer: &mut dyn Observer,
+) -> Result<Outcome, PipelineError> {
+    Err(PipelineError::Internal(anyhow::anyhow!("not yet")))
+}

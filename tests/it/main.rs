@@ -1,4 +1,5 @@
 //! The integration tests: one binary, one module a topic.
 
+mod bench;
 mod import_rule;
 mod synth;

@@ -186,22 +186,13 @@ fn list_params(n_max: usize) -> [u32; 4] {
 }
 
 fn kernels(gpu: &Gpu) -> Kernels {
-    macro_rules! kernel {
-        ($name:literal) => {
-            gpu.kernel(
-                concat!("interpolate/", $name),
-                include_str!(concat!("../../../shaders/interpolate/", $name, ".wgsl")),
-                &[],
-            )
-        };
-    }
     Kernels {
-        mark: kernel!("mark"),
-        scan: kernel!("scan"),
-        forward: kernel!("forward"),
-        backward: kernel!("backward"),
-        backward_bary: kernel!("backward_bary"),
-        scatter: kernel!("scatter"),
-        gather: kernel!("gather"),
+        mark: kernel!(gpu, "interpolate/mark"),
+        scan: kernel!(gpu, "interpolate/scan"),
+        forward: kernel!(gpu, "interpolate/forward"),
+        backward: kernel!(gpu, "interpolate/backward"),
+        backward_bary: kernel!(gpu, "interpolate/backward_bary"),
+        scatter: kernel!(gpu, "interpolate/scatter"),
+        gather: kernel!(gpu, "interpolate/gather"),
     }
 }

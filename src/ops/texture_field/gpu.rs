@@ -4,8 +4,11 @@ use std::sync::Arc;
 
 use super::layout::Layout;
 use super::{FEATURES, MAX_LEVELS, TextureFieldConfig, TextureFieldError, TextureFieldParams};
-use crate::gpu::{AnyBuffer, Buffer, Gpu, GpuError, Kernel, Recorder, linear_groups};
+use crate::gpu::{AnyBuffer, Buffer, Gpu, GpuError, Kernel, Recorder};
 
+/// Lanes of a workgroup that takes a pixel a lane; and the most pixels for which such workgroups can be counted.
+const LANES: usize = 256;
+const MAX_CAPACITY: usize = LANES * 65_535;
 /// Pixels that one partial sum of the weights' gradient covers.
 const CHUNK: usize = 256;
 /// Listed pixels that one invocation follows through a level.
@@ -35,6 +38,7 @@ struct EncodeParams {
 type Params = [u32; 4];
 
 struct Kernels {
+    groups: Arc<Kernel>,
     encode_forward: Arc<Kernel>,
     mlp_forward: Arc<Kernel>,
     mlp_backward: Arc<Kernel>,
@@ -46,6 +50,8 @@ struct Kernels {
 
 /// What the last forward and backward passes left for each other.
 struct Activations {
+    /// Workgroups of [`LANES`] that the listed pixels take.
+    groups: Buffer<u32>,
     encoded: Buffer<f32>,
     hidden0: Buffer<f32>,
     hidden1: Buffer<f32>,
@@ -76,6 +82,9 @@ pub struct TextureField {
 
 impl TextureField {
     /// Uploads `params`; errors when they do not fit `config`.
+    ///
+    /// # Panics
+    /// When the capacity is above 16 million.
     pub fn new(
         gpu: &Gpu,
         config: TextureFieldConfig,
@@ -83,6 +92,7 @@ impl TextureField {
         capacity: usize,
     ) -> Result<Self, TextureFieldError> {
         params.validate(&config)?;
+        assert!(capacity <= MAX_CAPACITY, "texture_field: capacity {capacity}");
         let layout = Layout::new(&config);
         let (encoded, hidden) = (4 * layout.encoded4 * capacity, 4 * layout.hidden4 * capacity);
         let scratch = |name: &str, len: usize| gpu.zeros::<f32>(&format!("texture_field/{name}"), len);
@@ -93,6 +103,7 @@ impl TextureField {
             encode_params: encode_params(&config),
             kernels: kernels(gpu, &layout),
             activations: Activations {
+                groups: gpu.zeros("texture_field/groups", 3),
                 encoded: scratch("encoded", encoded),
                 hidden0: scratch("hidden0", hidden),
                 hidden1: scratch("hidden1", hidden),
@@ -126,12 +137,13 @@ impl TextureField {
     pub fn forward(&self, recorder: &mut Recorder<'_>, coords: &Buffer<f32>, count: &Buffer<u32>, n_max: usize) {
         assert!(n_max <= self.capacity && 3 * n_max <= coords.len(), "texture_field: {n_max} coordinates");
         let a = &self.activations;
+        let params: Params = [n_max as u32, 0, 0, 0];
+        recorder.dispatch(&self.kernels.groups, &params, &[count, &a.groups], [1, 1, 1]);
         let encode = EncodeParams { n_max: n_max as u32, ..self.encode_params };
         let buffers: [&dyn AnyBuffer; 4] = [count, coords, &self.table, &a.encoded];
-        recorder.dispatch(&self.kernels.encode_forward, &encode, &buffers, linear_groups(n_max, 64));
-        let params: Params = [n_max as u32, 0, 0, 0];
+        recorder.dispatch_indirect(&self.kernels.encode_forward, &encode, &buffers, &a.groups, 0);
         let buffers: [&dyn AnyBuffer; 6] = [count, &self.weights, &a.encoded, &a.hidden0, &a.hidden1, &self.rgb];
-        recorder.dispatch(&self.kernels.mlp_forward, &params, &buffers, linear_groups(n_max, 256));
+        recorder.dispatch_indirect(&self.kernels.mlp_forward, &params, &buffers, &a.groups, 0);
     }
 
     /// Records the backward pass of the last [`forward`](Self::forward), with the same arguments: adds to `grad_table`,
@@ -165,7 +177,7 @@ impl TextureField {
             &a.delta2,
             &a.grad_encoded,
         ];
-        recorder.dispatch(&self.kernels.mlp_backward, &params(0), &buffers, linear_groups(n_max, 256));
+        recorder.dispatch_indirect(&self.kernels.mlp_backward, &params(0), &buffers, &a.groups, 0);
         let layers = [(&a.encoded, &a.delta0), (&a.hidden0, &a.delta1), (&a.hidden1, &a.delta2)];
         for (layer, (inputs, deltas)) in layers.into_iter().enumerate() {
             let (inputs4, outputs4) = self.layer4(layer);
@@ -183,7 +195,7 @@ impl TextureField {
         let groups = [runs, self.config.n_levels as u32, 1];
         recorder.dispatch(&self.kernels.table_gradient, &encode, &buffers, groups);
         let buffers: [&dyn AnyBuffer; 5] = [count, coords, &self.table, &a.grad_encoded, grad_coords];
-        recorder.dispatch(&self.kernels.coords_gradient, &encode, &buffers, linear_groups(n_max, 64));
+        recorder.dispatch_indirect(&self.kernels.coords_gradient, &encode, &buffers, &a.groups, 0);
     }
 
     /// Records zeros into `grad_table` and `grad_weights`.
@@ -256,15 +268,7 @@ fn encode_params(config: &TextureFieldConfig) -> EncodeParams {
 }
 
 fn kernels(gpu: &Gpu, layout: &Layout) -> Kernels {
-    macro_rules! kernel {
-        ($name:literal, $constants:expr) => {
-            gpu.kernel(
-                concat!("texture_field/", $name),
-                include_str!(concat!("../../../shaders/texture_field/", $name, ".wgsl")),
-                $constants,
-            )
-        };
-    }
+    let lanes = ("LANES", format!("{LANES}u"));
     let encoded4 = ("ENCODED4", format!("{}u", layout.encoded4));
     let hidden4 = ("HIDDEN4", format!("{}u", layout.hidden4));
     let run = ("RUN", format!("{RUN}u"));
@@ -278,16 +282,18 @@ fn kernels(gpu: &Gpu, layout: &Layout) -> Kernels {
             ("TILE_O", format!("{}u", tile(outputs4))),
             chunk.clone(),
         ];
-        kernel!("weight_gradient", &constants)
+        kernel!(gpu, "texture_field/weight_gradient", &constants)
     };
-    let widths = [encoded4.clone(), hidden4];
+    let encoding = [lanes.clone(), encoded4.clone()];
+    let widths = [lanes.clone(), encoded4.clone(), hidden4];
     Kernels {
-        encode_forward: kernel!("encode_forward", std::slice::from_ref(&encoded4)),
-        mlp_forward: kernel!("mlp_forward", &widths),
-        mlp_backward: kernel!("mlp_backward", &widths),
-        table_gradient: kernel!("table_gradient", &[encoded4.clone(), run]),
-        coords_gradient: kernel!("coords_gradient", std::slice::from_ref(&encoded4)),
+        groups: kernel!(gpu, "texture_field/groups", std::slice::from_ref(&lanes)),
+        encode_forward: kernel!(gpu, "texture_field/encode_forward", &encoding),
+        mlp_forward: kernel!(gpu, "texture_field/mlp_forward", &widths),
+        mlp_backward: kernel!(gpu, "texture_field/mlp_backward", &widths),
+        table_gradient: kernel!(gpu, "texture_field/table_gradient", &[encoded4.clone(), run]),
+        coords_gradient: kernel!(gpu, "texture_field/coords_gradient", &encoding),
         weight_gradient: [0, 1, 2].map(weight_gradient),
-        weight_reduce: kernel!("weight_reduce", std::slice::from_ref(&chunk)),
+        weight_reduce: kernel!(gpu, "texture_field/weight_reduce", std::slice::from_ref(&chunk)),
     }
 }

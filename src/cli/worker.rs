@@ -1,0 +1,71 @@
+//! `effigy worker`: claims and runs jobs of a data folder.
+
+use std::thread;
+
+use anyhow::Result;
+use effigy::jobs::Env;
+use effigy::worker::{DeviceEngine, DeviceThread, Owner, Reaper, Worker, WorkerSettings, channel};
+use tokio::sync::watch;
+
+use super::service::{ServiceArgs, asked_to_end, open_queue, open_store, start_log};
+
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    service: ServiceArgs,
+    /// Serve a server's renders on standard input and output, and end with the input.
+    #[arg(long, hide = true)]
+    renders_on_stdio: bool,
+}
+
+/// Added to the niceness of a server's child, so that answers come before fits.
+#[cfg(unix)]
+const NICENESS: libc::c_int = 10;
+
+pub fn run(args: Args) -> Result<()> {
+    if args.renders_on_stdio {
+        lower_priority();
+    }
+    start_log();
+    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?.block_on(work(args))
+}
+
+async fn work(args: Args) -> Result<()> {
+    let store = open_store(&args.service.data_dir())?;
+    let env = Env::system();
+    let queue = open_queue(&store, &env, args.service.policy()).await?;
+    let device = DeviceThread::start(DeviceEngine::default())?;
+    let (shutdown, stopped) = watch::channel(false);
+    if args.renders_on_stdio {
+        let (device, shutdown) = (device.clone(), shutdown.clone());
+        thread::Builder::new().name("channel".into()).spawn(move || {
+            if let Err(error) = channel::serve(std::io::stdin().lock(), &device) {
+                tracing::error!(%error, "the server cannot be heard");
+            }
+            // A server that was killed says nothing else.
+            shutdown.send_replace(true);
+        })?;
+    } else {
+        // A server reaps for its child.
+        tokio::spawn(Reaper { queue: queue.clone(), store: store.clone() }.run());
+    }
+    tokio::spawn(async move {
+        asked_to_end().await;
+        shutdown.send_replace(true);
+    });
+    let owner = Owner::new(&store.workers(), env.new_id())?;
+    let settings = WorkerSettings::default();
+    Worker { queue: queue.clone(), store, device, owner, settings }.run(stopped).await;
+    queue.close().await;
+    Ok(())
+}
+
+fn lower_priority() {
+    #[cfg(unix)]
+    // SAFETY: takes numbers, touches no memory of ours. Threads that are started later inherit it.
+    let refused = unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICENESS) } != 0;
+    #[cfg(unix)]
+    if refused {
+        eprintln!("effigy worker: the priority could not be lowered: {}", std::io::Error::last_os_error());
+    }
+}

@@ -1,0 +1,63 @@
+//! The claim loop of a worker process.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+
+use super::device_thread::DeviceThread;
+use super::owner::Owner;
+use super::runner::Runner;
+use crate::jobs::Queue;
+use crate::storage::Store;
+
+/// The rhythm of a worker.
+#[derive(Clone, Debug)]
+pub struct WorkerSettings {
+    /// How often an idle worker looks for a job.
+    pub poll: Duration,
+}
+
+impl Default for WorkerSettings {
+    fn default() -> Self {
+        WorkerSettings { poll: Duration::from_millis(500) }
+    }
+}
+
+/// Claims jobs one after the other and runs them.
+pub struct Worker {
+    pub queue: Arc<dyn Queue>,
+    pub store: Arc<Store>,
+    pub device: DeviceThread,
+    pub owner: Owner,
+    pub settings: WorkerSettings,
+}
+
+impl Worker {
+    /// Works until `shutdown` turns true; a job that runs then is given back with its checkpoint.
+    pub async fn run(self, mut shutdown: watch::Receiver<bool>) {
+        tracing::info!(owner = self.owner.id(), "the worker waits for jobs");
+        let runner = Runner {
+            queue: self.queue.clone(),
+            store: self.store.clone(),
+            device: self.device.clone(),
+            shutdown: shutdown.clone(),
+        };
+        while !*shutdown.borrow_and_update() {
+            match self.queue.claim(self.owner.id()).await {
+                Ok(Some((lease, job))) => {
+                    runner.run(&lease, &job).await;
+                    continue;
+                }
+                Ok(None) => {}
+                Err(error) => tracing::warn!(%error, "no claim"),
+            }
+            tokio::select! {
+                () = tokio::time::sleep(self.settings.poll) => {}
+                // The sender's end is the end of the process.
+                changed = shutdown.changed() => if changed.is_err() { break },
+            }
+        }
+        tracing::info!(owner = self.owner.id(), "the worker has ended");
+    }
+}

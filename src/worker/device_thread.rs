@@ -1,0 +1,172 @@
+//! The thread that owns the device: everything that touches it happens here, one thing at a time. While a fit runs,
+//! renders are drawn between its iterations.
+
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::Instant;
+
+use tokio::sync::{oneshot, watch};
+
+use super::engine::{Engine, FitTask};
+use super::pipeline::{Observer, Outcome, PipelineError, Progress, StopReason};
+use super::renders::Draughtsman;
+use crate::gpu::Gpu;
+use crate::jobs::render::{RenderError, RenderRequest};
+
+type Answer = Box<dyn FnOnce(Result<(), RenderError>) + Send>;
+
+enum Task {
+    Fit { task: Box<FitTask>, control: Arc<Control>, done: oneshot::Sender<Result<Outcome, PipelineError>> },
+    Draw(Drawing),
+}
+
+struct Drawing {
+    request: RenderRequest,
+    to: PathBuf,
+    answer: Answer,
+}
+
+/// What the two sides of a running fit share.
+#[derive(Default)]
+pub struct Control {
+    stop: Mutex<Option<StopReason>>,
+    progress: watch::Sender<Option<Progress>>,
+    stage_secs: Mutex<BTreeMap<&'static str, f64>>,
+}
+
+impl Control {
+    /// Asks the fit to stop. The first reason stays, but a lost lease outweighs all: nothing may be written then.
+    pub fn stop(&self, reason: StopReason) {
+        let mut stop = self.stop.lock().unwrap();
+        if stop.is_none() || reason == StopReason::LostLease {
+            *stop = Some(reason);
+        }
+    }
+
+    pub fn stop_reason(&self) -> Option<StopReason> {
+        *self.stop.lock().unwrap()
+    }
+
+    pub fn progress(&self) -> watch::Receiver<Option<Progress>> {
+        self.progress.subscribe()
+    }
+
+    /// Seconds spent in stages since the last call.
+    pub fn take_stage_secs(&self) -> BTreeMap<&'static str, f64> {
+        std::mem::take(&mut *self.stage_secs.lock().unwrap())
+    }
+}
+
+/// The way to the device.
+#[derive(Clone)]
+pub struct DeviceThread {
+    tasks: Sender<Task>,
+}
+
+impl DeviceThread {
+    /// Starts the thread. It ends when the last handle is gone.
+    pub fn start(engine: impl Engine) -> std::io::Result<DeviceThread> {
+        let (tasks, inbox) = channel();
+        thread::Builder::new().name("device".into()).spawn(move || serve(engine, &inbox))?;
+        Ok(DeviceThread { tasks })
+    }
+
+    /// Runs a fit; the receiver gets its end.
+    pub fn fit(&self, task: FitTask, control: Arc<Control>) -> oneshot::Receiver<Result<Outcome, PipelineError>> {
+        let (done, end) = oneshot::channel();
+        // A thread that is gone drops the sender, which the receiver sees.
+        let _ = self.tasks.send(Task::Fit { task: Box::new(task), control, done });
+        end
+    }
+
+    /// Has something drawn; `answer` is called from the device's thread.
+    pub fn draw(
+        &self,
+        request: RenderRequest,
+        to: PathBuf,
+        answer: impl FnOnce(Result<(), RenderError>) + Send + 'static,
+    ) {
+        let answer: Answer = Box::new(answer);
+        if let Err(error) = self.tasks.send(Task::Draw(Drawing { request, to, answer }))
+            && let Task::Draw(drawing) = error.0
+        {
+            (drawing.answer)(Err(RenderError::Unavailable("the device's thread has ended".into())));
+        }
+    }
+}
+
+fn serve(mut engine: impl Engine, inbox: &Receiver<Task>) {
+    while let Ok(task) = inbox.recv() {
+        match task {
+            Task::Fit { task, control, done } => {
+                let mut observer = FitObserver { control, inbox, draughtsman: Draughtsman::default(), stage: None };
+                let run = catch_unwind(AssertUnwindSafe(|| engine.fit(&task, &mut observer)));
+                observer.end_stage();
+                // Nobody may be waiting any more; the end is the same.
+                let _ = done.send(run.unwrap_or_else(|panic| Err(panicked(panic.as_ref()))));
+            }
+            Task::Draw(drawing) => answer_with(drawing, |request, to| engine.draw(request, to)),
+        }
+    }
+}
+
+fn answer_with(drawing: Drawing, draw: impl FnOnce(&RenderRequest, &Path) -> Result<(), RenderError>) {
+    let drawn = catch_unwind(AssertUnwindSafe(|| draw(&drawing.request, &drawing.to)));
+    let failed = |panic: Box<dyn std::any::Any + Send>| Err(RenderError::Failed(panicked(panic.as_ref()).to_string()));
+    (drawing.answer)(drawn.unwrap_or_else(failed));
+}
+
+fn panicked(panic: &(dyn std::any::Any + Send)) -> PipelineError {
+    let message = panic.downcast_ref::<String>().map(String::as_str);
+    let message = message.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message");
+    PipelineError::Internal(anyhow::anyhow!("panicked: {message}"))
+}
+
+/// The thread's own view of its running fit.
+struct FitObserver<'a> {
+    control: Arc<Control>,
+    inbox: &'a Receiver<Task>,
+    draughtsman: Draughtsman,
+    stage: Option<(&'static str, Instant)>,
+}
+
+impl FitObserver<'_> {
+    fn end_stage(&mut self) {
+        if let Some((stage, since)) = self.stage.take() {
+            *self.control.stage_secs.lock().unwrap().entry(stage).or_default() += since.elapsed().as_secs_f64();
+        }
+    }
+}
+
+impl Observer for FitObserver<'_> {
+    fn progress(&mut self, progress: &Progress) {
+        let stage = progress.stage.name();
+        if self.stage.is_none_or(|(current, _)| current != stage) {
+            self.end_stage();
+            self.stage = Some((stage, Instant::now()));
+        }
+        self.control.progress.send_replace(Some(progress.clone()));
+    }
+
+    fn stop(&mut self) -> Option<StopReason> {
+        self.control.stop_reason()
+    }
+
+    fn idle(&mut self, gpu: &Arc<Gpu>) {
+        while let Ok(task) = self.inbox.try_recv() {
+            match task {
+                Task::Draw(drawing) => {
+                    answer_with(drawing, |request, to| self.draughtsman.draw(gpu, request, to));
+                }
+                // The claim loop gives one job at a time.
+                Task::Fit { done, .. } => {
+                    let _ = done.send(Err(PipelineError::Internal(anyhow::anyhow!("the device is taken"))));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! Takes back leases of the dead and the silent, and removes the files of what is gone.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use uuid::Uuid;
+
+use super::owner::Owner;
+use crate::jobs::{Queue, QueueError};
+use crate::storage::Store;
+
+const ROUND: Duration = Duration::from_secs(2);
+
+pub struct Reaper {
+    pub queue: Arc<dyn Queue>,
+    pub store: Arc<Store>,
+}
+
+impl Reaper {
+    /// Rounds for ever.
+    pub async fn run(self) {
+        loop {
+            if let Err(error) = self.round().await {
+                tracing::warn!(%error, "the reaper failed and comes again");
+            }
+            tokio::time::sleep(ROUND).await;
+        }
+    }
+
+    pub async fn round(&self) -> Result<(), QueueError> {
+        for owner in self.queue.owners().await? {
+            match Owner::is_dead(&self.store.workers(), &owner) {
+                Ok(true) => {
+                    for job in self.queue.release_owner(&owner).await? {
+                        tracing::warn!(%job, owner, "taken back from a dead worker");
+                    }
+                }
+                Ok(false) => {}
+                Err(error) => tracing::warn!(owner, %error, "cannot tell whether the worker lives"),
+            }
+        }
+        let reaped = self.queue.reap().await?;
+        for job in &reaped.reclaimed {
+            tracing::warn!(%job, "taken back from a silent worker");
+        }
+        for job in reaped.expired.into_iter().chain(reaped.deleted) {
+            self.remove_files(job).await;
+        }
+        Ok(())
+    }
+
+    async fn remove_files(&self, job: Uuid) {
+        let store = self.store.clone();
+        match tokio::task::spawn_blocking(move || store.delete_job(job)).await {
+            Ok(Ok(())) => tracing::info!(%job, "its files are removed"),
+            // The next start of a server removes what has no row.
+            Ok(Err(error)) => tracing::warn!(%job, %error, "its files stay"),
+            Err(error) => tracing::error!(%job, %error, "removing its files panicked"),
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! Drawing avatars on the device.
+
+use std::io::{Cursor, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::SystemTime;
+
+use crate::avatar::{self, AvatarModel, Place, RenderSpec, Renderer, ply};
+use crate::gpu::Gpu;
+use crate::jobs::render::{self, Background, ImageRequest, Light, PoseSource, RenderError, RenderRequest, What};
+use crate::storage::write_atomic;
+
+/// Models that stay on the device: clients tend to ask for many pictures of one avatar.
+const KEPT: usize = 2;
+/// Samples along a pixel's side.
+const SAMPLES: u32 = 3;
+
+/// Draws on a device, and keeps the last avatars there.
+#[derive(Default)]
+pub(super) struct Draughtsman {
+    /// The last used at the end.
+    kept: Vec<Kept>,
+}
+
+struct Kept {
+    path: PathBuf,
+    /// A retry may publish another model under the same path.
+    written: SystemTime,
+    renderer: Renderer,
+    /// `[V]`, computed for the first mesh.
+    colours: Option<Vec<[u8; 3]>>,
+}
+
+impl Draughtsman {
+    /// Frees what is on the device.
+    pub fn forget(&mut self) {
+        self.kept.clear();
+    }
+
+    /// Writes the picture or mesh to `to`, whole or not at all.
+    pub fn draw(&mut self, gpu: &Arc<Gpu>, request: &RenderRequest, to: &Path) -> Result<(), RenderError> {
+        let kept = self.model(gpu, &request.model)?;
+        let content = match &request.what {
+            What::Image(image) => kept.image(image)?,
+            What::Mesh { frame } => kept.mesh(gpu, *frame)?,
+        };
+        write_atomic(to, &content).map_err(failed)
+    }
+
+    fn model(&mut self, gpu: &Arc<Gpu>, path: &Path) -> Result<&mut Kept, RenderError> {
+        let written = path.metadata().and_then(|meta| meta.modified()).map_err(failed)?;
+        let found = self.kept.iter().position(|kept| kept.path == path && kept.written == written);
+        let kept = match found {
+            Some(at) => self.kept.remove(at),
+            None => {
+                let model = Arc::new(AvatarModel::load(path).map_err(failed)?);
+                let renderer = Renderer::new(gpu, &model).map_err(failed)?;
+                Kept { path: path.into(), written, renderer, colours: None }
+            }
+        };
+        if self.kept.len() >= KEPT {
+            self.kept.remove(0);
+        }
+        Ok(self.kept.push_mut(kept))
+    }
+}
+
+impl Kept {
+    fn image(&self, request: &ImageRequest) -> Result<Vec<u8>, RenderError> {
+        let spec = self.spec(request)?;
+        let picture = self.renderer.render(&spec).map_err(|error| match error {
+            avatar::RenderError::Invalid(reason) => RenderError::Refused(reason),
+            error => failed(error),
+        })?;
+        let mut png = Cursor::new(Vec::new());
+        picture.write_to(&mut png, image::ImageFormat::Png).map_err(failed)?;
+        Ok(png.into_inner())
+    }
+
+    fn spec(&self, request: &ImageRequest) -> Result<RenderSpec, RenderError> {
+        let model = self.renderer.model();
+        let frame = |k: usize| (k < model.poses.len()).then(|| RenderSpec::of_frame(model, k));
+        let (pose, place) = match &request.pose {
+            PoseSource::Frame(k) => {
+                let spec = frame(*k as usize).ok_or_else(|| RenderError::Refused(format!("there is no frame {k}")))?;
+                (spec.pose, spec.place)
+            }
+            PoseSource::Given { pose, place } => {
+                let numbers = pose.len();
+                let pose = pose.as_slice().try_into();
+                let pose = pose.map_err(|_| RenderError::Refused(format!("the pose has {numbers} numbers")))?;
+                (pose, place.map_or_else(|| self.first_pelvis(), to_place))
+            }
+        };
+        Ok(RenderSpec {
+            pose,
+            place,
+            betas: request.betas.clone(),
+            camera: request.camera.clone(),
+            background: match request.background {
+                Background::Transparent => avatar::Background::Transparent,
+                Background::Colour(rgb) => avatar::Background::Colour(rgb),
+            },
+            light: match request.light {
+                Light::Captured => avatar::Light::Captured,
+                Light::None => avatar::Light::None,
+            },
+            samples: SAMPLES,
+        })
+    }
+
+    /// Where the pelvis was in the first fitted frame.
+    fn first_pelvis(&self) -> Place {
+        let model = self.renderer.model();
+        let first = model.transl.first().copied().unwrap_or_default();
+        let joint = model.body.shaped_joints(&model.betas)[0];
+        Place::Pelvis(std::array::from_fn(|k| joint[k] + first[k]))
+    }
+
+    fn mesh(&mut self, gpu: &Arc<Gpu>, frame: u32) -> Result<Vec<u8>, RenderError> {
+        let mesh = self.renderer.model().mesh(Some(frame as usize));
+        let mut mesh = mesh.ok_or_else(|| RenderError::Refused(format!("there is no frame {frame}")))?;
+        if self.colours.is_none() {
+            self.colours = Some(self.renderer.texture().vertex_colours(gpu).map_err(failed)?);
+        }
+        mesh.colours = self.colours.clone().unwrap_or_default();
+        let mut out = Vec::new();
+        ply::write(&mesh, &mut out).and_then(|()| out.flush()).map_err(failed)?;
+        Ok(out)
+    }
+}
+
+fn to_place(place: render::Place) -> Place {
+    match place {
+        render::Place::Translation(t) => Place::Transl(t),
+        render::Place::Pelvis(p) => Place::Pelvis(p),
+    }
+}
+
+fn failed(error: impl std::fmt::Display) -> RenderError {
+    RenderError::Failed(error.to_string())
+}

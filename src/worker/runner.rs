@@ -1,0 +1,236 @@
+//! One job under its lease: the fit runs on the device's thread, this task keeps the lease, passes progress on, listens
+//! for wishes, and ends the job.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::sync::watch;
+use tokio::time::{MissedTickBehavior, interval};
+
+use super::device_thread::{Control, DeviceThread};
+use super::engine::FitTask;
+use super::pipeline::{Outcome, PipelineError, PipelineInput, Progress, StopReason};
+use crate::capture::CaptureError;
+use crate::jobs::{AvatarFile, Job, JobError, Lease, NewAvatar, ProgressReport, Queue, QueueError, Standing};
+use crate::storage::{Published, Store};
+
+/// How often the job's row is looked at: a wish to cancel is passed on within this time.
+const LOOK: Duration = Duration::from_millis(500);
+/// Progress is written at most this often.
+const REPORT: Duration = Duration::from_secs(1);
+/// The lease is renewed this often, with or without progress.
+const HEARTBEAT: Duration = Duration::from_secs(10);
+/// Tries to write the end of a job while the database refuses, before the lease is left to run out.
+const END_TRIES: u32 = 10;
+const END_WAIT: Duration = Duration::from_secs(3);
+
+pub(super) struct Runner {
+    pub queue: Arc<dyn Queue>,
+    pub store: Arc<Store>,
+    pub device: DeviceThread,
+    /// True once the process is to end.
+    pub shutdown: watch::Receiver<bool>,
+}
+
+impl Runner {
+    /// Runs a claimed job to its end, whatever that is.
+    pub async fn run(&self, lease: &Lease, job: &Job) {
+        let started = Instant::now();
+        tracing::info!(job = %lease.job, epoch = lease.epoch, attempt = job.attempt, "the fit begins");
+        let control = Arc::new(Control::default());
+        let end = match self.task(lease, job).await {
+            Ok(task) => {
+                let end = self.accompany(lease, task, &control).await;
+                self.pass_stage_secs(lease, &control).await;
+                end
+            }
+            Err(error) => Err(PipelineError::Internal(error.into())),
+        };
+        match &end {
+            Ok(_) => tracing::info!(job = %lease.job, secs = started.elapsed().as_secs(), "the fit is done"),
+            Err(error) => tracing::warn!(job = %lease.job, %error, "the fit ended without an avatar"),
+        }
+        self.finish(lease, job, end).await;
+    }
+
+    async fn task(&self, lease: &Lease, job: &Job) -> std::io::Result<FitTask> {
+        let inputs = self.store.inputs(lease.job);
+        let part = |name: &str| job.inputs.contains_key(name).then(|| inputs.join(name));
+        let task = FitTask {
+            input: PipelineInput {
+                video: inputs.join("video"),
+                masks: inputs.join("masks"),
+                keypoints: inputs.join("keypoints"),
+                camera: part("camera"),
+                poses: part("poses"),
+                options: job.options.clone(),
+            },
+            data_dir: self.store.root().into(),
+            work_dir: self.store.work(lease.job),
+            out_dir: self.store.results(lease.job, lease.epoch),
+        };
+        tokio::fs::create_dir_all(&task.work_dir).await?;
+        tokio::fs::create_dir_all(&task.out_dir).await?;
+        Ok(task)
+    }
+
+    async fn accompany(&self, lease: &Lease, task: FitTask, control: &Arc<Control>) -> Result<Outcome, PipelineError> {
+        let mut end = self.device.fit(task, control.clone());
+        let mut progress = control.progress();
+        let mut shutdown = self.shutdown.clone();
+        let mut looks = interval(LOOK);
+        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut reported = Instant::now();
+        let mut renewed = Instant::now();
+        loop {
+            tokio::select! {
+                end = &mut end => {
+                    return end.unwrap_or_else(|_| Err(PipelineError::Internal(anyhow::anyhow!("the device's thread ended"))));
+                }
+                _ = looks.tick() => {}
+            }
+            if *shutdown.borrow_and_update() {
+                control.stop(StopReason::Shutdown);
+            }
+            let news = if reported.elapsed() >= REPORT && progress.has_changed().unwrap_or(false) {
+                progress.borrow_and_update().clone()
+            } else {
+                None
+            };
+            let standing = if let Some(news) = news {
+                reported = Instant::now();
+                renewed = reported;
+                self.pass_stage_secs(lease, control).await;
+                self.queue.report(lease, &report(&news)).await
+            } else if renewed.elapsed() >= HEARTBEAT {
+                renewed = Instant::now();
+                self.queue.heartbeat(lease).await
+            } else {
+                self.queue.standing(lease).await
+            };
+            match standing {
+                Ok(Standing::Held) => {}
+                Ok(Standing::Canceling) => control.stop(StopReason::Cancel),
+                Ok(Standing::Lost) => control.stop(StopReason::LostLease),
+                // The fit goes on: the epoch guards the end should the lease run out meanwhile.
+                Err(error) => tracing::warn!(job = %lease.job, %error, "the queue cannot be reached"),
+            }
+        }
+    }
+
+    async fn pass_stage_secs(&self, lease: &Lease, control: &Control) {
+        for (stage, secs) in control.take_stage_secs() {
+            if let Err(error) = self.queue.add_stage_time(lease, stage, secs).await {
+                tracing::warn!(job = %lease.job, %error, "the time of a stage is lost");
+            }
+        }
+    }
+
+    async fn finish(&self, lease: &Lease, job: &Job, end: Result<Outcome, PipelineError>) {
+        let sealed = match end {
+            Ok(outcome) => match self.seal(lease).await {
+                Ok(files) => Ok(new_avatar(job, outcome, files)),
+                Err(error) => Err(PipelineError::Internal(error)),
+            },
+            Err(error) => Err(error),
+        };
+        for attempt in 1..=END_TRIES {
+            match self.write_end(lease, &sealed).await {
+                Ok(standing) => {
+                    let published = sealed.is_ok() && standing != Standing::Lost;
+                    self.tidy(lease, published, !is_repeatable(&sealed)).await;
+                    return;
+                }
+                Err(error) => {
+                    tracing::error!(job = %lease.job, attempt, %error, "the end of the job could not be written");
+                    tokio::time::sleep(END_WAIT).await;
+                }
+            }
+        }
+    }
+
+    async fn write_end(&self, lease: &Lease, end: &Result<NewAvatar, PipelineError>) -> Result<Standing, QueueError> {
+        match end {
+            Ok(avatar) => self.queue.succeed(lease, avatar.clone()).await,
+            Err(PipelineError::Stopped(StopReason::Cancel)) => self.queue.confirm_cancel(lease).await,
+            Err(PipelineError::Stopped(StopReason::Shutdown)) => self.queue.give_back(lease).await,
+            Err(PipelineError::Stopped(StopReason::LostLease)) => Ok(Standing::Lost),
+            Err(error) => self.queue.fail(lease, job_error(error), is_repeatable(end)).await,
+        }
+    }
+
+    async fn seal(&self, lease: &Lease) -> anyhow::Result<Vec<AvatarFile>> {
+        let folder = self.store.results(lease.job, lease.epoch);
+        let sealed = tokio::task::spawn_blocking(move || Published::seal(&folder)).await??;
+        let files = sealed.into_iter().map(|f| AvatarFile { name: f.name, bytes: f.bytes, sha256: f.sha256 });
+        Ok(files.collect())
+    }
+
+    /// Removes what nobody needs any more: after success all but the results; else this attempt's results, and where
+    /// a repetition would only repeat the failure, its checkpoints.
+    async fn tidy(&self, lease: &Lease, published: bool, final_failure: bool) {
+        let (store, lease) = (self.store.clone(), lease.clone());
+        let tidied = tokio::task::spawn_blocking(move || {
+            if published {
+                store.tidy_job(lease.job, Some(lease.epoch))
+            } else if final_failure {
+                store.tidy_job(lease.job, None)
+            } else {
+                store.discard_results(lease.job, lease.epoch)
+            }
+        });
+        match tidied.await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => tracing::warn!(%error, "files of a finished attempt stay"),
+            Err(error) => tracing::error!(%error, "tidying panicked"),
+        }
+    }
+}
+
+/// Failures of the moment: a device or a disk may do better next time. A stop is no failure and keeps its checkpoint.
+fn is_repeatable<T>(end: &Result<T, PipelineError>) -> bool {
+    match end {
+        Ok(_) | Err(PipelineError::Stopped(_) | PipelineError::Device(_) | PipelineError::Internal(_)) => true,
+        Err(PipelineError::BadInput(error)) => error.bad_input().is_none(),
+        Err(PipelineError::Diverged { .. }) => false,
+    }
+}
+
+fn report(progress: &Progress) -> ProgressReport {
+    ProgressReport {
+        stage: progress.stage.name().into(),
+        step: progress.step,
+        steps: progress.steps,
+        progress: f64::from(progress.progress),
+        eta_secs: progress.eta_secs,
+        losses: progress.losses.clone(),
+    }
+}
+
+fn new_avatar(job: &Job, outcome: Outcome, files: Vec<AvatarFile>) -> NewAvatar {
+    NewAvatar {
+        body: job.options.body.clone(),
+        frames: outcome.frames,
+        camera: outcome.camera,
+        metrics: outcome.metrics,
+        files,
+    }
+}
+
+fn job_error(error: &PipelineError) -> JobError {
+    match error {
+        PipelineError::BadInput(CaptureError::Bad(bad)) => JobError {
+            part: Some(bad.part.to_string()),
+            frame: bad.frame,
+            expected: Some(bad.expected.clone()),
+            ..JobError::new("bad-input", bad.message.clone())
+        },
+        PipelineError::Diverged { losses, .. } => {
+            // A loss that is no number has no JSON.
+            let losses = losses.iter().filter(|(_, v)| v.is_finite()).map(|(k, v)| (k.clone(), *v)).collect();
+            JobError { losses, ..JobError::new("diverged", error.to_string()) }
+        }
+        PipelineError::Device(_) => JobError::new("device", error.to_string()),
+        _ => JobError::new("internal", error.to_string()),
+    }
+}

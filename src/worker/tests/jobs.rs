@@ -1,0 +1,188 @@
+//! Jobs through a worker.
+
+use std::fs;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use super::super::pipeline::StopReason;
+use super::*;
+use crate::jobs::{Change, Deletion};
+
+#[tokio::test]
+async fn a_fit_becomes_an_avatar() {
+    let bench = Bench::new().await;
+    let id = bench.add().await;
+    let (shutdown, worker) = bench.worker(|task, observer| {
+        assert_eq!(fs::read(&task.input.video).unwrap(), b"clip");
+        assert!(task.input.camera.is_none());
+        observer.progress(&progress(Stage::Decode, 1));
+        observer.progress(&progress(Stage::Export, 9));
+        fs::write(task.work_dir.join("checkpoint"), b"half").unwrap();
+        fs::write(task.out_dir.join("avatar.glb"), b"glTF").unwrap();
+        Ok(outcome())
+    });
+    let job = bench.until(id, State::Succeeded).await;
+    assert_eq!((job.attempt, job.progress), (1, 1.0));
+    let avatar = bench.queue.avatar(id).await.unwrap().unwrap();
+    assert_eq!((avatar.frames, avatar.body.as_str(), avatar.files.len()), (5, "default", 1));
+    assert_eq!((avatar.files[0].name.as_str(), avatar.files[0].bytes), ("avatar.glb", 4));
+    let times = bench.queue.stage_times().await.unwrap();
+    assert_eq!(times.iter().map(|t| t.stage.as_str()).collect::<Vec<_>>(), ["decode", "export"]);
+    shutdown.send(true).unwrap();
+    worker.await.unwrap();
+    assert!(!bench.store.work(id).exists(), "checkpoints of a finished job are removed");
+    assert_eq!(fs::read(bench.store.results(id, avatar.epoch).join("avatar.glb")).unwrap(), b"glTF");
+}
+
+#[tokio::test]
+async fn a_diverged_fit_fails_with_its_losses_and_publishes_nothing() {
+    let bench = Bench::new().await;
+    let id = bench.add().await;
+    let (_shutdown, _worker) = bench.worker(|task, _| {
+        fs::write(task.out_dir.join("avatar.glb"), b"NaN").unwrap();
+        let losses = BTreeMap::from([("rgb".to_string(), 7.5), ("mask".to_string(), f64::NAN)]);
+        Err(PipelineError::Diverged { detail: "offsets are not finite".into(), losses })
+    });
+    let job = bench.until(id, State::Failed).await;
+    let error = job.error.unwrap();
+    assert_eq!((error.kind.as_str(), job.attempt), ("diverged", 1));
+    assert_eq!(error.losses, BTreeMap::from([("rgb".to_string(), 7.5)]));
+    assert!(bench.queue.avatar(id).await.unwrap().is_none());
+}
+
+#[tokio::test]
+async fn failures_of_the_moment_are_repeated_from_the_checkpoint() {
+    let bench = Bench::new().await;
+    let id = bench.add().await;
+    let (_shutdown, _worker) = bench.worker(|task, _| {
+        let checkpoint = task.work_dir.join("checkpoint");
+        let done = fs::read_to_string(&checkpoint).map_or(0, |text| text.parse::<u32>().unwrap());
+        fs::write(&checkpoint, (done + 1).to_string()).unwrap();
+        match done {
+            0 => panic!("a bug"),
+            1 => Err(PipelineError::Internal(anyhow::anyhow!("a full disk"))),
+            _ => {
+                fs::write(task.out_dir.join("report.json"), done.to_string()).unwrap();
+                Ok(outcome())
+            }
+        }
+    });
+    let job = bench.until(id, State::Succeeded).await;
+    assert_eq!((job.attempt, job.epoch), (3, 3));
+    assert_eq!(fs::read(bench.store.results(id, 3).join("report.json")).unwrap(), b"2");
+}
+
+#[tokio::test]
+async fn a_job_that_always_fails_ends_after_its_attempts() {
+    let bench = Bench::new().await;
+    let (bad, good) = (bench.add().await, bench.add().await);
+    let runs = Arc::new(AtomicU32::new(0));
+    let count = runs.clone();
+    let (_shutdown, _worker) = bench.worker(move |task, _| {
+        if task.out_dir.to_string_lossy().contains(&bad.to_string()) {
+            count.fetch_add(1, Ordering::Relaxed);
+            panic!("this one always");
+        }
+        fs::write(task.out_dir.join("avatar.glb"), b"glTF").unwrap();
+        Ok(outcome())
+    });
+    let job = bench.until(bad, State::Failed).await;
+    assert_eq!((job.attempt, runs.load(Ordering::Relaxed)), (3, 3));
+    assert!(job.error.unwrap().detail.contains("this one always"));
+    bench.until(good, State::Succeeded).await;
+}
+
+#[tokio::test]
+async fn a_wish_to_cancel_stops_the_fit() {
+    let bench = Bench::new().await;
+    let id = bench.add().await;
+    let (_shutdown, _worker) = bench.worker(endless);
+    bench.until(id, State::Running).await;
+    assert!(matches!(bench.queue.cancel(id).await.unwrap(), Change::Done(_)));
+    bench.until(id, State::Canceled).await;
+}
+
+#[tokio::test]
+async fn a_deleted_running_job_vanishes_with_its_files() {
+    let bench = Bench::new().await;
+    let id = bench.add().await;
+    let (_shutdown, _worker) = bench.worker(endless);
+    bench.until(id, State::Running).await;
+    assert_eq!(bench.queue.delete(id).await.unwrap(), Deletion::Pending);
+    let reaper = Reaper { queue: bench.queue.clone(), store: bench.store.clone() };
+    while bench.queue.get(id).await.unwrap().is_some() {
+        reaper.round().await.unwrap();
+        tokio::task::yield_now().await;
+    }
+    assert!(bench.store.job_folders().unwrap().is_empty());
+}
+
+#[tokio::test]
+async fn a_shutdown_gives_the_job_back_to_the_next_worker() {
+    let bench = Bench::new().await;
+    let id = bench.add().await;
+    let (shutdown, worker) = bench.worker(|task, observer| {
+        let end = endless(task, observer);
+        fs::write(task.work_dir.join("checkpoint"), b"half").unwrap();
+        end
+    });
+    bench.until(id, State::Running).await;
+    shutdown.send(true).unwrap();
+    worker.await.unwrap();
+    let job = bench.until(id, State::Queued).await;
+    assert_eq!(job.attempt, 0, "a shutdown is no attempt");
+    let (_shutdown, _worker) = bench.worker(|task, _| {
+        assert_eq!(fs::read(task.work_dir.join("checkpoint")).unwrap(), b"half");
+        fs::write(task.out_dir.join("avatar.glb"), b"glTF").unwrap();
+        Ok(outcome())
+    });
+    bench.until(id, State::Succeeded).await;
+}
+
+#[tokio::test]
+async fn a_worker_that_lost_its_lease_stops_and_writes_nothing() {
+    let bench = Bench::new().await;
+    let id = bench.add().await;
+    let reason = Arc::new(Mutex::new(None));
+    let (stopped, mut ended) = signal();
+    let seen = reason.clone();
+    let (_shutdown, _worker) = bench.worker(move |task, observer| {
+        if task.out_dir.ends_with("1") {
+            fs::write(task.out_dir.join("avatar.glb"), b"stale").unwrap();
+            let end = endless(task, observer);
+            if let Err(PipelineError::Stopped(why)) = &end {
+                *seen.lock().unwrap() = Some(*why);
+            }
+            stopped.send(()).unwrap();
+            return end;
+        }
+        fs::write(task.out_dir.join("avatar.glb"), b"fresh").unwrap();
+        Ok(outcome())
+    });
+    let owner = bench.until(id, State::Running).await.owner.unwrap();
+    // As the reaper does when time has run out.
+    bench.queue.release_owner(&owner).await.unwrap();
+    ended.recv().await.unwrap();
+    assert_eq!(*reason.lock().unwrap(), Some(StopReason::LostLease));
+    bench.until(id, State::Succeeded).await;
+    let avatar = bench.queue.avatar(id).await.unwrap().unwrap();
+    assert_eq!(avatar.epoch, 2);
+    assert_eq!(fs::read(bench.store.results(id, 2).join("avatar.glb")).unwrap(), b"fresh");
+}
+
+#[tokio::test]
+async fn only_the_dead_lose_their_leases_at_once() {
+    let bench = Bench::new().await;
+    let (one, two) = (bench.add().await, bench.add().await);
+    let alive = Owner::new(&bench.store.workers(), Uuid::new_v4()).unwrap();
+    let dead = Owner::new(&bench.store.workers(), Uuid::new_v4()).unwrap();
+    bench.queue.claim(dead.id()).await.unwrap().unwrap();
+    bench.queue.claim(alive.id()).await.unwrap().unwrap();
+    let reaper = Reaper { queue: bench.queue.clone(), store: bench.store.clone() };
+    reaper.round().await.unwrap();
+    bench.until(one, State::Running).await;
+    drop(dead);
+    reaper.round().await.unwrap();
+    bench.until(one, State::Queued).await;
+    bench.until(two, State::Running).await;
+}

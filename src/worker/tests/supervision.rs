@@ -1,0 +1,105 @@
+//! The supervisor with small programs in the worker's place.
+
+use super::super::channel;
+use super::*;
+use crate::jobs::render::{Renderer, What};
+
+/// Answers each request by writing its line to the file that it names.
+const ANSWERING: &str = r#"while read -r line; do
+    id=${line#*\"id\":}; id=${id%%,*}
+    to=${line##*\"to\":\"}; to=${to%%\"*}
+    echo "$line" > "$to"
+    echo "{\"id\":$id,\"result\":{\"Ok\":null}}"
+done"#;
+
+fn supervise(folder: &Path, script: &str, settings: impl FnOnce(&mut SupervisorSettings)) -> Arc<Supervisor> {
+    let arguments = vec!["-c".to_string(), script.to_string()];
+    let mut chosen = SupervisorSettings::new("sh".into(), arguments, folder.into());
+    chosen.backoff = Duration::from_millis(1);
+    settings(&mut chosen);
+    let supervisor = Supervisor::new(chosen);
+    tokio::spawn(supervisor.clone().run());
+    supervisor
+}
+
+fn request() -> RenderRequest {
+    RenderRequest { model: "model.npz".into(), what: What::Mesh { frame: 3 } }
+}
+
+/// Polls once.
+async fn is_waiting(future: impl Future + Unpin) -> bool {
+    tokio::select! {
+        biased;
+        _ = future => false,
+        () = std::future::ready(()) => true,
+    }
+}
+
+#[tokio::test]
+async fn a_render_goes_to_the_worker_and_comes_back_as_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let supervisor = supervise(folder.path(), ANSWERING, |_| {});
+    let file = supervisor.render(request()).await.unwrap();
+    assert!(std::fs::read_to_string(file).unwrap().contains("\"frame\":3"));
+    assert_eq!(supervisor.trouble(), None);
+    supervisor.stop();
+}
+
+#[tokio::test]
+async fn a_worker_that_dies_is_started_again_and_gets_the_request_once_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let mark = folder.path().join("died");
+    let script = format!("if [ ! -e {0} ]; then read -r line; touch {0}; kill -9 $$; fi\n{ANSWERING}", mark.display());
+    let supervisor = supervise(folder.path(), &script, |_| {});
+    assert!(supervisor.render(request()).await.unwrap().exists());
+    assert!(mark.exists());
+    supervisor.stop();
+}
+
+#[tokio::test]
+async fn a_request_that_kills_its_worker_is_given_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let supervisor = supervise(folder.path(), "read -r line; kill -9 $$", |_| {});
+    assert!(matches!(supervisor.render(request()).await, Err(RenderError::Failed(_))));
+    supervisor.stop();
+}
+
+#[tokio::test]
+async fn a_worker_that_is_silent_or_never_starts_is_unavailable() {
+    let folder = tempfile::tempdir().unwrap();
+    for script in ["cat > /dev/null", "exit 1"] {
+        let supervisor = supervise(folder.path(), script, |s| s.timeout = Duration::from_millis(50));
+        let answer = supervisor.render(request()).await;
+        assert!(matches!(answer, Err(RenderError::Unavailable(_) | RenderError::Failed(_))), "{answer:?}");
+        supervisor.stop();
+    }
+}
+
+#[tokio::test]
+async fn too_many_renders_are_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let supervisor = supervise(folder.path(), "cat > /dev/null", |s| {
+        s.queue = 1;
+        s.timeout = Duration::from_secs(3600);
+    });
+    let mut first = supervisor.render(request());
+    assert!(is_waiting(&mut first).await);
+    assert!(matches!(supervisor.render(request()).await, Err(RenderError::Busy)));
+    drop(first);
+    let mut next = supervisor.render(request());
+    assert!(is_waiting(&mut next).await, "a client that went away leaves its place");
+    supervisor.stop();
+}
+
+#[tokio::test]
+async fn the_channel_ends_with_the_server() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = DeviceThread::start(ScriptedEngine(Arc::new(endless))).unwrap();
+    let to = folder.path().join("mesh.ply");
+    let line = json!({ "id": 1, "request": request(), "to": to });
+    channel::serve(format!("{line}\nnonsense\n").as_bytes(), &device).unwrap();
+    let (done, drawn) = tokio::sync::oneshot::channel();
+    device.draw(request(), folder.path().join("last.ply"), |result| done.send(result).unwrap());
+    drawn.await.unwrap().unwrap();
+    assert!(to.exists(), "requests are drawn in order");
+}

@@ -1,0 +1,26 @@
+//! `effigy bench` as a user runs it.
+
+use std::process::Command;
+
+#[test]
+fn a_report_has_a_line_for_each_operator_that_was_asked_for() {
+    let output = Command::new(env!("CARGO_BIN_EXE_effigy"))
+        .args(["bench", "interpolate", "--size", "32", "--repeats", "1", "--json"])
+        .env("EFFIGY_DATA_DIR", env!("CARGO_TARGET_TMPDIR"))
+        .output()
+        .unwrap();
+    let errors = String::from_utf8_lossy(&output.stderr);
+    if errors.contains("no graphics adapter") && std::env::var_os("CI").is_none() {
+        eprintln!("bench: ignored, {errors}");
+        return;
+    }
+    assert!(output.status.success(), "{errors}");
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let names: Vec<&str> = report["ops"].as_array().unwrap().iter().map(|op| op["op"].as_str().unwrap()).collect();
+    let want = ["interpolate/forward", "interpolate/scatter", "interpolate/gather", "interpolate/backward"];
+    assert_eq!(names, want);
+    assert!(report["ops"].as_array().unwrap().iter().all(|op| op["ms"].as_f64().unwrap() > 0.0));
+    // The body fills about a tenth of the image.
+    let covered = report["covered_px"].as_u64().unwrap();
+    assert!((60..400).contains(&covered), "{covered} pixels are covered");
+}
