@@ -21,6 +21,7 @@ const SHARED: &[(&str, &str)] = &[
     ("shared/listed", include_str!("../../shaders/shared/listed.wgsl")),
     ("shared/pinhole", include_str!("../../shaders/shared/pinhole.wgsl")),
     ("shared/rodrigues", include_str!("../../shaders/shared/rodrigues.wgsl")),
+    ("shared/silhouette", include_str!("../../shaders/shared/silhouette.wgsl")),
     ("shared/soft_face", include_str!("../../shaders/shared/soft_face.wgsl")),
     ("shared/target_pixel", include_str!("../../shaders/shared/target_pixel.wgsl")),
     ("shared/unit_or_zero", include_str!("../../shaders/shared/unit_or_zero.wgsl")),

@@ -22,6 +22,7 @@ macro_rules! kernel {
 pub mod adam;
 mod corners;
 pub mod diffuse;
+pub mod edge_gradient;
 pub mod face_area;
 pub mod face_normals;
 pub mod hard_rasterize;

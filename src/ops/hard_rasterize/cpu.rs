@@ -112,6 +112,25 @@ pub fn backward<T: Real>(
     }
 }
 
+/// Adds to `grad_view` the gradient through the places in the image of the points that pixels show, `[H, W, 2]`.
+pub fn screen_backward<T: Real>(
+    camera: &Camera,
+    view: &[T],
+    faces: &[[u32; 3]],
+    pix_to_face: &[i32],
+    grad_screen: &[T],
+    grad_view: &mut [T],
+) {
+    for (pixel, &f) in pix_to_face.iter().enumerate().filter(|(_, f)| **f >= 0) {
+        let face = &faces[f as usize];
+        let ray = ray(camera, pixel);
+        let (_, m) = meet(&triangle(view, face), ray);
+        let g = [grad_screen[pixel * 2] * T::of(camera.fx) / m.z, grad_screen[pixel * 2 + 1] * T::of(camera.fy) / m.z];
+        let point = [g[0], g[1], -(g[0] * ray[0] + g[1] * ray[1])];
+        add_corners(grad_view, face, &m.bary.map(|b| point.map(|g| b * g)));
+    }
+}
+
 pub fn shade<T: Real>(pix_to_face: &[i32], face_colours: &[T], background: [T; 3]) -> Vec<T> {
     let colour = |&f: &i32| match usize::try_from(f) {
         Ok(f) => [face_colours[f * 3], face_colours[f * 3 + 1], face_colours[f * 3 + 2]],

@@ -35,6 +35,7 @@ pub struct HardRasterizer {
     passes: [Arc<Kernel>; 3],
     backward: Arc<Kernel>,
     backward_zbuf: Arc<Kernel>,
+    screen_backward: Arc<Kernel>,
     shade: Arc<Kernel>,
     shade_backward: Arc<Kernel>,
     nearest: Buffer<u32>,
@@ -57,6 +58,7 @@ impl HardRasterizer {
             ],
             backward: kernel!(gpu, "hard_rasterize/backward"),
             backward_zbuf: kernel!(gpu, "hard_rasterize/backward", &[("HAS_GRAD_ZBUF", "true".to_owned())]),
+            screen_backward: kernel!(gpu, "hard_rasterize/screen_backward"),
             shade: kernel!(gpu, "hard_rasterize/shade"),
             shade_backward: kernel!(gpu, "hard_rasterize/shade_backward"),
             nearest: gpu.zeros("hard_rasterize/nearest", max_pixels),
@@ -135,6 +137,27 @@ impl HardRasterizer {
             &self.grad_corners,
         ];
         recorder.dispatch(kernel, &params, &buffers, linear_groups(self.corners.n_faces(), 64));
+        self.corners.gather(recorder, &self.grad_corners, grad_view);
+    }
+
+    /// Records `grad_view +=` the gradient through the places in the image of the points that pixels show:
+    /// `grad_screen [H, W, 2]`, per pixel of motion to the right and down.
+    ///
+    /// # Panics
+    /// As [`HardRasterizer::forward`], and when the gradient is shorter than the image.
+    pub fn screen_backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        camera: &Camera,
+        view: &Buffer<f32>,
+        grad_screen: &Buffer<f32>,
+        grad_view: &Buffer<f32>,
+    ) {
+        let params = self.params(camera, view);
+        assert!(grad_screen.len() >= camera.n_pixels() * 2, "{}: length", grad_screen.label());
+        let buffers: [&dyn AnyBuffer; 5] =
+            [view, &self.corners.faces, &self.pix_to_face, grad_screen, &self.grad_corners];
+        recorder.dispatch(&self.screen_backward, &params, &buffers, linear_groups(self.corners.n_faces(), 64));
         self.corners.gather(recorder, &self.grad_corners, grad_view);
     }
 

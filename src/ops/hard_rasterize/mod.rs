@@ -9,6 +9,7 @@
 //! | `alpha` | `[H, W]` | 1 where there is a face, else 0 |
 //! | `grad_bary`, `grad_zbuf` | as above | read by `backward`, the latter optional |
 //! | `grad_view` | `[V, 3]` | added to by `backward` |
+//! | `grad_screen` | `[H, W, 2]` | read by `screen_backward`: what motion of a pixel's surface point in the image is worth |
 //! | `face_colours`, `image` | `[F, 3]`, `[H, W, 3]` | flat shading: one colour a face over a background |
 //!
 //! For the ray `r = ((u − cx)/fx, (v − cy)/fy, 1)` of a pixel centre and the corners `v_k`, let `q_k = v_k.xy − r.xy·v_k.z`.
