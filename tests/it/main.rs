@@ -2,4 +2,5 @@
 
 mod bench;
 mod import_rule;
+mod service;
 mod synth;

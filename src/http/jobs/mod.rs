@@ -7,14 +7,16 @@ mod one;
 mod upload;
 mod view;
 
+use axum::extract::DefaultBodyLimit;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::App;
 
 pub(super) fn router() -> OpenApiRouter<App> {
-    OpenApiRouter::new()
-        .routes(routes!(create::create, list::list))
+    // An upload never meets in memory; it has limits of its own.
+    let uploads = OpenApiRouter::new().routes(routes!(create::create, list::list)).layer(DefaultBodyLimit::disable());
+    uploads
         .routes(routes!(one::get, one::delete))
         .routes(routes!(one::cancel))
         .routes(routes!(one::retry))

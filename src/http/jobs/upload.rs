@@ -1,6 +1,7 @@
 //! The multipart body, streamed to the disk part by part: memory holds one chunk, whatever the size.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use axum::extract::Multipart;
 use axum::extract::multipart::{Field, MultipartError};
@@ -73,27 +74,38 @@ impl Received {
     }
 }
 
+/// How long the rest of a refused body is read, so that clients which read only when they have sent all see why.
+const DISCARD: Duration = Duration::from_secs(5);
+
 pub(super) async fn receive(mut form: Multipart, store: &Store, limits: &Limits) -> Result<Received, ApiError> {
+    let received = receive_parts(&mut form, store, limits).await;
+    if received.is_err() {
+        let rest = async { while let Ok(Some(_)) = form.next_field().await {} };
+        // Whoever sends for longer finds the connection closed.
+        let _ = tokio::time::timeout(DISCARD, rest).await;
+    }
+    received
+}
+
+async fn receive_parts(form: &mut Multipart, store: &Store, limits: &Limits) -> Result<Received, ApiError> {
     let upload = store.begin_upload()?;
     let mut inputs = BTreeMap::new();
     let mut options = None;
-    let mut left = limits.upload_bytes;
+    let mut budget = Budget { whole: limits.upload_bytes, left: limits.upload_bytes };
     while let Some(field) = form.next_field().await.map_err(form_error)? {
         let name = field.name().unwrap_or("").to_string();
         if inputs.contains_key(&name) || (name == OPTIONS && options.is_some()) {
             return Err(wrong_part(format!("the part {name:?} came twice"), &name));
         }
         if name == OPTIONS {
-            let json = read_small(field, OPTIONS_LIMIT_BYTES.min(left)).await?;
-            left -= json.len() as u64;
+            let json = read_small(field, &mut budget).await?;
             options = Some(JobOptions::parse(&json)?);
             continue;
         }
         let Some(kind) = KINDS.iter().find(|kind| kind.name == name) else {
             return Err(wrong_part(format!("there is no part {name:?}"), &name));
         };
-        let bytes = write_part(field, &upload, kind, left).await?;
-        left -= bytes;
+        let bytes = write_part(field, &upload, kind, &mut budget).await?;
         inputs.insert(name, Part { bytes });
     }
     if let Some(missing) = KINDS.iter().find(|kind| kind.required && !inputs.contains_key(kind.name)) {
@@ -102,31 +114,42 @@ pub(super) async fn receive(mut form: Multipart, store: &Store, limits: &Limits)
     Ok(Received { upload, inputs, options: options.unwrap_or_default() })
 }
 
-async fn write_part(mut field: Field<'_>, upload: &Upload, kind: &Kind, left: u64) -> Result<u64, ApiError> {
-    let limit_bytes = kind.limit_bytes.min(left);
+/// What an upload may still bring.
+struct Budget {
+    whole: u64,
+    left: u64,
+}
+
+impl Budget {
+    /// Takes a chunk of a part that would then have `bytes`; an error names the limit that is in the way.
+    fn take(&mut self, chunk: &[u8], part: &str, bytes: u64, limit_bytes: u64) -> Result<(), ApiError> {
+        let too_large =
+            |detail: String, limit_bytes| ApiError::TooLarge { detail, part: Some(part.into()), limit_bytes };
+        if bytes > limit_bytes {
+            return Err(too_large(format!("the part {part:?} is too large"), limit_bytes));
+        }
+        let left = self.left.checked_sub(chunk.len() as u64);
+        self.left = left.ok_or_else(|| too_large("the upload is too large".into(), self.whole))?;
+        Ok(())
+    }
+}
+
+async fn write_part(mut field: Field<'_>, upload: &Upload, kind: &Kind, budget: &mut Budget) -> Result<u64, ApiError> {
     let mut file = upload.part(kind.name).await?;
     while let Some(chunk) = field.chunk().await.map_err(form_error)? {
-        if file.bytes() + chunk.len() as u64 > limit_bytes {
-            return Err(too_large(kind.name, limit_bytes));
-        }
+        budget.take(&chunk, kind.name, file.bytes() + chunk.len() as u64, kind.limit_bytes)?;
         file.write(&chunk).await?;
     }
     Ok(file.finish().await?)
 }
 
-async fn read_small(mut field: Field<'_>, limit_bytes: u64) -> Result<Vec<u8>, ApiError> {
+async fn read_small(mut field: Field<'_>, budget: &mut Budget) -> Result<Vec<u8>, ApiError> {
     let mut content = Vec::new();
     while let Some(chunk) = field.chunk().await.map_err(form_error)? {
-        if (content.len() + chunk.len()) as u64 > limit_bytes {
-            return Err(too_large(OPTIONS, limit_bytes));
-        }
+        budget.take(&chunk, OPTIONS, (content.len() + chunk.len()) as u64, OPTIONS_LIMIT_BYTES)?;
         content.extend_from_slice(&chunk);
     }
     Ok(content)
-}
-
-fn too_large(part: &str, limit_bytes: u64) -> ApiError {
-    ApiError::TooLarge { detail: format!("the part {part:?} is too large"), part: Some(part.into()), limit_bytes }
 }
 
 fn wrong_part(detail: String, part: &str) -> ApiError {

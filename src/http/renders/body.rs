@@ -74,6 +74,31 @@ pub(in crate::http) struct CameraBody {
     #[schema(value_type = Option<Vec<f64>>)]
     pub rotation: Option<Rotation>,
     pub translation: Option<[f64; 3]>,
+    /// OpenCV's `[k1, k2, p1, p2, k3]`, shorter if the rest is zero, or the same by name.
+    #[schema(value_type = Option<Vec<f64>>)]
+    pub distortion: Option<Distortion>,
+    /// The coefficients may also stand beside the other fields.
+    #[serde(flatten)]
+    #[schema(inline)]
+    pub coefficients: Coefficients,
+}
+
+#[derive(Clone, Deserialize)]
+#[serde(untagged)]
+pub(in crate::http) enum Distortion {
+    List(Vec<f64>),
+    Named(Coefficients),
+}
+
+/// Of the lens, zero where absent.
+#[derive(Clone, Copy, Default, Deserialize, utoipa::ToSchema)]
+#[serde(default)]
+pub(in crate::http) struct Coefficients {
+    pub k1: f64,
+    pub k2: f64,
+    pub p1: f64,
+    pub p2: f64,
+    pub k3: f64,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -177,6 +202,7 @@ impl CameraBody {
         if !is_rotation(&rotation) {
             return Err(wrong("camera.rotation", "the rows are not those of a rotation", "an orthonormal 3×3 matrix"));
         }
+        let distortion = self.lens()?;
         Ok(Camera {
             width: self.width as u32,
             height: self.height as u32,
@@ -184,10 +210,31 @@ impl CameraBody {
             fy: self.fy,
             cx: self.cx,
             cy: self.cy,
-            distortion: [0.0; 5],
+            distortion,
             rotation,
             translation,
         })
+    }
+}
+
+impl CameraBody {
+    fn lens(&self) -> Result<[f64; 5], ApiError> {
+        let by_name = |c: &Coefficients| [c.k1, c.k2, c.p1, c.p2, c.k3];
+        let lens = match &self.distortion {
+            None => by_name(&self.coefficients),
+            Some(Distortion::Named(named)) => by_name(named),
+            Some(Distortion::List(list)) => {
+                let mut lens = [0.0; 5];
+                let Some(start) = lens.get_mut(..list.len()) else {
+                    let detail = format!("the distortion has {} numbers", list.len());
+                    return Err(wrong("camera.distortion", detail, "at most 5 numbers: k1, k2, p1, p2, k3"));
+                };
+                start.copy_from_slice(list);
+                lens
+            }
+        };
+        check_numbers("camera.distortion", &lens, 100.0)?;
+        Ok(lens)
     }
 }
 

@@ -53,6 +53,20 @@ fn a_rotation_may_be_rows_or_flat() {
 }
 
 #[test]
+fn a_lens_may_be_a_list_or_named() {
+    for lens in [
+        json!({ "distortion": [0.1, 0, 0, 0.02] }),
+        json!({ "distortion": { "k1": 0.1, "p2": 0.02 } }),
+        json!({ "k1": 0.1, "p2": 0.02 }),
+    ] {
+        let mut camera = json!({ "width": 10, "height": 20, "fx": 9, "fy": 9, "cx": 5, "cy": 10 });
+        camera.as_object_mut().unwrap().extend(lens.as_object().unwrap().clone());
+        let image = check(json!({ "frame": 0, "camera": camera })).unwrap();
+        assert_eq!(image.camera.distortion, [0.1, 0.0, 0.0, 0.02, 0.0], "{lens}");
+    }
+}
+
+#[test]
 fn each_wrong_value_is_named() {
     let camera = |change: Value| {
         let mut camera = json!({ "width": 10, "height": 20, "fx": 9, "fy": 9, "cx": 5, "cy": 10 });
@@ -78,6 +92,8 @@ fn each_wrong_value_is_named() {
         (camera(json!({ "cx": 1e300 })), "camera.cx"),
         (camera(json!({ "rotation": vec![0; 9] })), "camera.rotation"),
         (camera(json!({ "rotation": flip })), "camera.rotation"),
+        (camera(json!({ "distortion": vec![0; 8] })), "camera.distortion"),
+        (camera(json!({ "k1": 1e9 })), "camera.distortion"),
     ] {
         match check(body.clone()) {
             Err(ApiError::Input { part, .. }) => assert_eq!(part, wrong, "{body}"),

@@ -1,0 +1,170 @@
+//! `/v1/avatars`: files, meshes, renders.
+
+use effigy::jobs::render::{Background, PoseSource, What};
+
+use super::*;
+
+const GLB: &[u8] = b"glTF0123456789";
+
+async fn avatar(bench: &Bench) -> String {
+    let files: [(&str, &[u8]); 3] = [("avatar.glb", GLB), ("report.json", b"{}"), ("mesh.ply", b"ply\nT-pose")];
+    format!("/v1/avatars/{}", bench.publish(&files).await)
+}
+
+#[tokio::test]
+async fn an_avatar_lists_its_files() {
+    let bench = Bench::new().await;
+    let path = avatar(&bench).await;
+    let avatar = bench.get(&path).await.json();
+    let id = path.rsplit('/').next().unwrap();
+    assert_eq!((&avatar["id"], &avatar["body"], &avatar["frames"]), (&json!(id), &json!("default"), &json!(5)));
+    assert_eq!((&avatar["camera"]["width"], &avatar["metrics"]), (&json!(64), &json!({ "iou": 0.95 })));
+    assert_eq!(avatar["files"]["avatar.glb"], format!("{path}/avatar.glb"));
+    let job = bench.get(&format!("/v1/jobs/{}", avatar["job"].as_str().unwrap())).await.json();
+    assert_eq!((&job["avatar"], &job["state"], &job["progress"]), (&json!(id), &json!("succeeded"), &json!(1.0)));
+    for url in avatar["files"].as_object().unwrap().values() {
+        assert_eq!(bench.get(url.as_str().unwrap()).await.status, 200);
+    }
+}
+
+#[tokio::test]
+async fn a_file_is_sent_whole_in_ranges_or_not_at_all() {
+    let bench = Bench::new().await;
+    let path = format!("{}/avatar.glb", avatar(&bench).await);
+    let whole = bench.get(&path).await;
+    assert_eq!((whole.status.as_u16(), whole.body.as_slice()), (200, GLB));
+    assert_eq!(whole.header("content-type"), "model/gltf-binary");
+    assert_eq!(whole.header("content-disposition"), "attachment; filename=\"avatar.glb\"");
+    assert_eq!((whole.header("content-length"), whole.header("accept-ranges")), ("14", "bytes"));
+    let etag = whole.header("etag").to_string();
+    assert_eq!(etag.len(), 66, "a strong tag of SHA-256: {etag}");
+
+    let ask = |name: &'static str, value: String| {
+        let (bench, path) = (&bench, &path);
+        async move { bench.call(Method::GET, path, &[(name, &value)], Body::empty()).await }
+    };
+    for (range, content, place) in [
+        ("bytes=4-7", &GLB[4..8], "bytes 4-7/14"),
+        ("bytes=10-", &GLB[10..], "bytes 10-13/14"),
+        ("bytes=-3", &GLB[11..], "bytes 11-13/14"),
+    ] {
+        let part = ask("range", range.into()).await;
+        assert_eq!((part.status.as_u16(), part.body.as_slice()), (206, content), "{range}");
+        assert_eq!((part.header("content-range"), part.header("etag")), (place, etag.as_str()));
+    }
+    let beyond = ask("range", "bytes=14-".into()).await;
+    beyond.problem(416);
+    assert_eq!(beyond.header("content-range"), "bytes */14");
+    for range in ["bytes=0-1,4-5", "bytes=x", "lines=1-2"] {
+        assert_eq!(ask("range", range.into()).await.status, 200, "{range}");
+    }
+
+    for tags in [etag.clone(), format!("\"other\", W/{etag}"), "*".into()] {
+        let same = ask("if-none-match", tags).await;
+        assert_eq!((same.status.as_u16(), same.body.len(), same.header("etag")), (304, 0, etag.as_str()));
+    }
+    assert_eq!(ask("if-none-match", "\"other\"".into()).await.status, 200);
+    for (tag, status) in [(etag.as_str(), 206), ("\"other\"", 200)] {
+        let headers = [("range", "bytes=0-3"), ("if-range", tag)];
+        assert_eq!(bench.call(Method::GET, &path, &headers, Body::empty()).await.status, status);
+    }
+    let head = bench.call(Method::HEAD, &path, &[], Body::empty()).await;
+    assert_eq!((head.status.as_u16(), head.body.len(), head.header("content-length")), (200, 0, "14"));
+}
+
+#[tokio::test]
+async fn unknown_files_stay_unknown() {
+    let bench = Bench::new().await;
+    let path = avatar(&bench).await;
+    for name in ["avatar.vrm", "..%2F..%2Feffigy.db", "%2e%2e", "model.npz"] {
+        bench.get(&format!("{path}/{name}")).await.problem(404);
+    }
+    bench.get(&format!("/v1/avatars/{}", Uuid::nil())).await.problem(404);
+    bench.get("/v1/avatars/me/avatar.glb").await.problem(404);
+}
+
+#[tokio::test]
+async fn a_mesh_is_the_t_pose_or_a_frame() {
+    let bench = Bench::new().await;
+    let path = format!("{}/mesh.ply", avatar(&bench).await);
+    assert_eq!(bench.get(&path).await.body, b"ply\nT-pose");
+    assert_eq!(bench.get(&format!("{path}?frame=4")).await.body, b"drawn");
+    assert_eq!(bench.draws.asked.lock().unwrap()[0].what, What::Mesh { frame: 4 });
+    let problem = bench.get(&format!("{path}?frame=5")).await.problem(422);
+    assert_eq!((&problem["part"], &problem["expected"]), (&json!("frame"), &json!("0 to 4")));
+    for query in ["frame=-1", "frame=x", "pose=1"] {
+        bench.get(&format!("{path}?{query}")).await.problem(400);
+    }
+}
+
+#[tokio::test]
+async fn a_render_reaches_the_worker_and_leaves_nothing_behind() {
+    let bench = Bench::new().await;
+    let path = format!("{}/renders", avatar(&bench).await);
+    let camera = json!({ "width": 320, "height": 240, "fx": 300, "fy": 300, "cx": 160, "cy": 120 });
+    let body =
+        json!({ "pose": vec![0; 72], "pelvis": [0, 0, 3], "camera": camera, "background": "#ffffff", "format": "png" });
+    let reply = bench.post_json(&path, &body).await;
+    assert_eq!((reply.status.as_u16(), reply.body.as_slice()), (200, b"drawn".as_slice()));
+    assert_eq!(reply.header("content-type"), "image/png");
+    let asked = bench.draws.asked.lock().unwrap().pop().unwrap();
+    assert!(asked.model.ends_with("results/1/model.npz"), "{asked:?}");
+    let What::Image(image) = asked.what else { panic!() };
+    assert!(matches!(image.pose, PoseSource::Given { .. }));
+    assert_eq!((image.camera.width, image.background), (320, Background::Colour([255; 3])));
+    assert_eq!(std::fs::read_dir(bench.store.renders()).unwrap().count(), 0);
+}
+
+#[tokio::test]
+async fn bad_renders_are_refused() {
+    let bench = Bench::new().await;
+    let path = format!("{}/renders", avatar(&bench).await);
+    let sized = |side: u32| json!({ "width": side, "height": 10, "fx": 9, "fy": 9, "cx": 5, "cy": 5 });
+    for (body, part) in [
+        (json!({ "pose": vec![0; 71] }), "pose"),
+        (json!({ "frame": 99 }), "frame"),
+        (json!({ "frame": 0, "camera": sized(0) }), "camera.width"),
+        (json!({ "frame": 0, "camera": sized(100_000) }), "camera.width"),
+    ] {
+        let problem = bench.post_json(&path, &body).await.problem(422);
+        assert_eq!(problem["part"], part, "{problem}");
+        assert!(problem["expected"].is_string());
+    }
+    let nan = format!(r#"{{"pose": [{}NaN]}}"#, "0, ".repeat(71));
+    let text = format!(r#"{{"pose": [{}"NaN"]}}"#, "0, ".repeat(71));
+    let json_type = [("content-type", "application/json")];
+    for body in [nan, text] {
+        let problem = bench.call(Method::POST, &path, &json_type, body).await.problem(400);
+        assert_eq!(problem["part"], "pose[71]", "{problem}");
+    }
+    for (body, part) in [
+        (json!({ "frame": 0, "light": "sun" }), "light"),
+        (json!({ "frame": 0, "format": "gif" }), "format"),
+        (json!({ "frame": 0, "colour": "red" }), "colour"),
+        (json!({ "frame": 0, "camera": { "width": 10 } }), "camera"),
+    ] {
+        assert_eq!(bench.post_json(&path, &body).await.problem(400)["part"], part);
+    }
+    bench.call(Method::POST, &path, &[("content-type", "text/plain")], "{}").await.problem(415);
+    bench.call(Method::POST, &path, &json_type, vec![b' '; 3 << 20]).await.problem(413);
+    bench.post_json(&format!("/v1/avatars/{}/renders", Uuid::nil()), &json!({ "frame": 0 })).await.problem(404);
+    assert!(bench.draws.asked.lock().unwrap().is_empty(), "none of them reached the worker");
+}
+
+#[tokio::test]
+async fn a_busy_or_failing_worker_is_told_apart() {
+    let bench = Bench::new().await;
+    let path = format!("{}/renders", avatar(&bench).await);
+    for (error, status) in [
+        (RenderError::Busy, 503),
+        (RenderError::Unavailable("it is starting".into()), 503),
+        (RenderError::Refused("betas: 20 values".into()), 422),
+        (RenderError::Failed("the device was lost at 0x1234".into()), 500),
+    ] {
+        *bench.draws.answer.lock().unwrap() = Err(error);
+        let reply = bench.post_json(&path, &json!({ "frame": 0 })).await;
+        let problem = reply.problem(status);
+        assert_eq!(reply.headers.contains_key("retry-after"), status == 503);
+        assert!(!problem.to_string().contains("0x1234"), "causes stay in the log");
+    }
+}

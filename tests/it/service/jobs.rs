@@ -1,0 +1,135 @@
+//! `/v1/jobs` beyond the upload.
+
+use effigy::jobs::{JobError, ProgressReport};
+
+use super::*;
+
+#[tokio::test]
+async fn a_job_tells_its_progress() {
+    let bench = Bench::new().await;
+    let id = bench.add_job().await;
+    let lease = bench.claim().await;
+    let report = ProgressReport {
+        stage: "texture".into(),
+        step: 20,
+        steps: 100,
+        progress: 0.7,
+        eta_secs: Some(33.5),
+        losses: BTreeMap::from([("rgb".to_string(), 0.02)]),
+    };
+    bench.queue.report(&lease, &report).await.unwrap();
+    let reply = bench.get(&format!("/v1/jobs/{id}")).await;
+    assert_eq!(reply.header("retry-after"), "1");
+    let job = reply.json();
+    assert_eq!((&job["state"], &job["stage"], &job["step"]), (&json!("running"), &json!("texture"), &json!(20)));
+    assert_eq!((&job["steps"], &job["progress"], &job["eta_secs"]), (&json!(100), &json!(0.7), &json!(33.5)));
+    assert_eq!((&job["losses"], &job["queue_position"]), (&json!({ "rgb": 0.02 }), &Value::Null));
+    assert!(job["started_at"].as_str().unwrap().ends_with('Z'));
+}
+
+#[tokio::test]
+async fn an_unchanged_job_is_304() {
+    let bench = Bench::new().await;
+    let id = bench.add_job().await;
+    let path = format!("/v1/jobs/{id}");
+    let etag = bench.get(&path).await.header("etag").to_string();
+    let ask = [("if-none-match", etag.as_str())];
+    let reply = bench.call(Method::GET, &path, &ask, Body::empty()).await;
+    assert_eq!((reply.status.as_u16(), reply.body.len()), (304, 0));
+    bench.claim().await;
+    let reply = bench.call(Method::GET, &path, &ask, Body::empty()).await;
+    assert_eq!(reply.status, 200);
+    assert_ne!(reply.header("etag"), etag);
+}
+
+#[tokio::test]
+async fn the_list_filters_and_pages() {
+    let bench = Bench::new().await;
+    let ids = [bench.add_job().await, bench.add_job().await, bench.add_job().await];
+    bench.post(&format!("/v1/jobs/{}/cancel", ids[0])).await;
+    let page = bench.get("/v1/jobs?limit=2").await.json();
+    let listed = |page: &Value| -> Vec<String> {
+        page["jobs"].as_array().unwrap().iter().map(|job| job["id"].as_str().unwrap().to_string()).collect()
+    };
+    assert_eq!(listed(&page), [ids[2].to_string(), ids[1].to_string()]);
+    let next = bench.get(&format!("/v1/jobs?limit=2&cursor={}", page["next"].as_str().unwrap())).await.json();
+    assert_eq!((listed(&next), &next["next"]), (vec![ids[0].to_string()], &Value::Null));
+    assert_eq!(listed(&bench.get("/v1/jobs?state=canceled").await.json()), [ids[0].to_string()]);
+    for query in ["state=lost", "limit=0", "limit=1000", "cursor=x", "color=red"] {
+        bench.get(&format!("/v1/jobs?{query}")).await.problem(400);
+    }
+}
+
+#[tokio::test]
+async fn cancel_retry_and_delete_follow_the_states() {
+    let bench = Bench::new().await;
+    let id = bench.add_job().await;
+    let path = format!("/v1/jobs/{id}");
+    bench.post(&format!("{path}/retry")).await.problem(409);
+    let reply = bench.post(&format!("{path}/cancel")).await;
+    assert_eq!((reply.status.as_u16(), &reply.json()["state"]), (200, &json!("canceled")));
+    let reply = bench.post(&format!("{path}/retry")).await;
+    assert_eq!((reply.status.as_u16(), &reply.json()["state"]), (202, &json!("queued")));
+    let lease = bench.claim().await;
+    let reply = bench.post(&format!("{path}/cancel")).await;
+    assert_eq!((reply.status.as_u16(), &reply.json()["state"]), (202, &json!("canceling")));
+    bench.queue.confirm_cancel(&lease).await.unwrap();
+    assert_eq!(bench.call(Method::DELETE, &path, &[], Body::empty()).await.status, 204);
+    bench.get(&path).await.problem(404);
+    bench.assert_empty();
+}
+
+#[tokio::test]
+async fn deleting_a_running_job_is_accepted() {
+    let bench = Bench::new().await;
+    let id = bench.add_job().await;
+    bench.claim().await;
+    let path = format!("/v1/jobs/{id}");
+    assert_eq!(bench.call(Method::DELETE, &path, &[], Body::empty()).await.status, 202);
+    assert_eq!(bench.get(&path).await.json()["state"], "canceling");
+}
+
+#[tokio::test]
+async fn a_failed_job_tells_why() {
+    let bench = Bench::new().await;
+    let id = bench.add_job().await;
+    let lease = bench.claim().await;
+    let mut error = JobError::new("diverged", "the offsets are not finite");
+    error.losses.insert("rgb".into(), 12.0);
+    bench.queue.fail(&lease, error, false).await.unwrap();
+    let job = bench.get(&format!("/v1/jobs/{id}")).await.json();
+    assert_eq!((&job["state"], &job["avatar"]), (&json!("failed"), &Value::Null));
+    let error = json!({ "type": "diverged", "detail": "the offsets are not finite", "losses": { "rgb": 12.0 } });
+    assert_eq!(job["error"], error);
+    bench.get(&format!("/v1/avatars/{id}")).await.problem(404);
+    bench.post(&format!("/v1/jobs/{id}/cancel")).await.problem(409);
+}
+
+#[tokio::test]
+async fn unknown_ids_and_paths_are_problems() {
+    let bench = Bench::new().await;
+    let id = Uuid::nil();
+    for path in [format!("/v1/jobs/{id}"), "/v1/jobs/abc".into(), format!("/v1/jobs/{id}/events"), "/v1/nothing".into()]
+    {
+        bench.get(&path).await.problem(404);
+    }
+    for path in [format!("/v1/jobs/{id}/cancel"), "/v1/jobs/x/retry".into()] {
+        bench.post(&path).await.problem(404);
+    }
+    bench.call(Method::DELETE, &format!("/v1/jobs/{id}"), &[], Body::empty()).await.problem(404);
+    bench.call(Method::PUT, "/v1/jobs", &[], Body::empty()).await.problem(405);
+}
+
+#[tokio::test]
+async fn the_services_own_state_is_told() {
+    let bench = Bench::new().await;
+    bench.add_job().await;
+    assert_eq!(bench.get("/healthz").await.body, b"ok\n");
+    let ready = bench.get("/readyz").await;
+    assert_eq!(ready.status, 200);
+    assert!(!ready.header("x-request-id").is_empty());
+    let figures = String::from_utf8(bench.get("/metrics").await.body).unwrap();
+    for line in ["effigy_jobs{state=\"queued\"}", "effigy_queue_depth", "effigy_http_requests_total{"] {
+        assert!(figures.contains(line), "{line} is not in\n{figures}");
+    }
+}

@@ -1,0 +1,126 @@
+//! The program itself: starts, ends, and what lies between.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use super::*;
+
+/// A running `effigy serve`.
+pub struct Serve {
+    child: Child,
+    pub url: String,
+}
+
+impl Serve {
+    pub fn start(data: &Path, arguments: &[&str]) -> Serve {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_effigy"))
+            .args(["serve", "--listen", "127.0.0.1:0", "--data-dir"])
+            .arg(data)
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let url = line.trim().strip_prefix("listening on ").unwrap_or_else(|| panic!("{line:?}")).to_string();
+        Serve { child, url }
+    }
+
+    pub fn terminate(mut self) -> std::process::ExitStatus {
+        // SAFETY: a signal to a child of ours that was not waited for.
+        unsafe { libc::kill(self.child.id() as libc::pid_t, libc::SIGTERM) };
+        self.child.wait().unwrap()
+    }
+
+    /// The most memory that the process has had, in bytes.
+    fn peak_bytes(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+        line.trim().trim_end_matches(" kB").parse::<u64>().unwrap() << 10
+    }
+}
+
+impl Drop for Serve {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn a_server_starts_on_its_defaults_and_ends_when_asked() {
+    let data = tempfile::tempdir().unwrap();
+    let serve = Serve::start(data.path(), &["--workers", "0"]);
+    assert_eq!(reqwest::blocking::get(format!("{}/healthz", serve.url)).unwrap().text().unwrap(), "ok\n");
+    assert!(serve.terminate().success());
+}
+
+#[test]
+fn two_servers_do_not_share_a_folder() {
+    let data = tempfile::tempdir().unwrap();
+    let _first = Serve::start(data.path(), &["--workers", "0"]);
+    let second = Command::new(env!("CARGO_BIN_EXE_effigy"))
+        .args(["serve", "--workers", "0", "--listen", "127.0.0.1:0", "--data-dir"])
+        .arg(data.path())
+        .output()
+        .unwrap();
+    assert!(!second.status.success());
+    let said = String::from_utf8_lossy(&second.stderr).into_owned();
+    assert!(said.contains("another server uses"), "{said}");
+}
+
+#[test]
+fn a_start_after_a_kill_keeps_jobs_and_removes_what_is_half_written() {
+    let data = tempfile::tempdir().unwrap();
+    let serve = Serve::start(data.path(), &["--workers", "0"]);
+    std::fs::write(data.path().join("bodies/default.body.npz"), b"").unwrap();
+    let client = reqwest::blocking::Client::new();
+    let sent =
+        client.post(format!("{}/v1/jobs", serve.url)).header("content-type", Form::TYPE).body(Form::clip().body());
+    let job: Value = sent.send().unwrap().json().unwrap();
+    drop(serve); // SIGKILL
+    std::fs::create_dir_all(data.path().join("tmp/upload-half")).unwrap();
+    std::fs::create_dir_all(data.path().join("jobs").join(Uuid::new_v4().to_string())).unwrap();
+
+    let serve = Serve::start(data.path(), &["--workers", "0"]);
+    let path = format!("{}/v1/jobs/{}", serve.url, job["id"].as_str().unwrap());
+    assert_eq!(reqwest::blocking::get(path).unwrap().json::<Value>().unwrap()["state"], "queued");
+    assert_eq!(std::fs::read_dir(data.path().join("tmp")).unwrap().count(), 0);
+    assert_eq!(std::fs::read_dir(data.path().join("jobs")).unwrap().count(), 1);
+}
+
+/// Zeros as a part of a form, without holding them.
+struct Zeros(u64);
+
+impl Read for Zeros {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let n = self.0.min(buffer.len() as u64) as usize;
+        buffer[..n].fill(0);
+        self.0 -= n as u64;
+        Ok(n)
+    }
+}
+
+#[test]
+fn a_large_upload_leaves_the_memory_flat() {
+    const BYTES: u64 = 192 << 20;
+    let data = tempfile::tempdir().unwrap();
+    let serve = Serve::start(data.path(), &["--workers", "0"]);
+    std::fs::write(data.path().join("bodies/default.body.npz"), b"").unwrap();
+    let client = reqwest::blocking::Client::builder().timeout(None).build().unwrap();
+    assert!(client.get(format!("{}/healthz", serve.url)).send().unwrap().status().is_success());
+    let before = serve.peak_bytes();
+    let video = reqwest::blocking::multipart::Part::reader_with_length(Zeros(BYTES), BYTES);
+    let mut form = reqwest::blocking::multipart::Form::new().part("video", video);
+    for (name, content) in Form::clip().without("video").0 {
+        form = form.part(name, reqwest::blocking::multipart::Part::bytes(content));
+    }
+    let answer = client.post(format!("{}/v1/jobs", serve.url)).multipart(form).send().unwrap();
+    assert_eq!(answer.status(), 422);
+    assert_eq!(answer.json::<Value>().unwrap()["part"], "video");
+    let grown = serve.peak_bytes() - before;
+    assert!(grown < 32 << 20, "grew by {grown} bytes");
+    assert_eq!(std::fs::read_dir(data.path().join("tmp")).unwrap().count(), 0);
+}
