@@ -1,0 +1,83 @@
+//! Parameter groups: values, gradients and optimiser state on the device.
+
+use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
+use crate::ops::adam::{Adam, AdamConfig, UniformAdam};
+
+/// A group that moves as a whole, or frame by frame.
+pub struct Group {
+    pub values: Buffer<f32>,
+    pub grads: Buffer<f32>,
+    adam: Adam,
+    /// Steps taken, one count a frame (one in all for a group without frames).
+    steps: Vec<u32>,
+    /// Parameters a frame.
+    stride: usize,
+}
+
+impl Group {
+    /// A group of `start.len()` parameters that moves as a whole.
+    pub fn whole(gpu: &Gpu, name: &str, start: &[f32], config: AdamConfig) -> Self {
+        Self::per_frame(gpu, name, start, start.len(), config)
+    }
+
+    /// A group of frames with `stride` parameters each: a frame moves only in the steps that saw it.
+    pub fn per_frame(gpu: &Gpu, name: &str, start: &[f32], stride: usize, config: AdamConfig) -> Self {
+        Self {
+            values: gpu.upload(&format!("fit/{name}"), start),
+            grads: gpu.zeros(&format!("fit/grad_{name}"), start.len()),
+            adam: Adam::new(gpu, name, start.len(), config),
+            steps: vec![0; start.len() / stride.max(1)],
+            stride,
+        }
+    }
+
+    pub fn clear(&self, recorder: &mut Recorder<'_>) {
+        recorder.clear(&self.grads);
+    }
+
+    /// Records a step of the given frames (`&[0]` for a group without frames).
+    pub fn step(&mut self, recorder: &mut Recorder<'_>, frames: &[usize], rate: f32) {
+        for &frame in frames {
+            self.steps[frame] += 1;
+            let range = frame * self.stride..(frame + 1) * self.stride;
+            self.adam.step(recorder, &self.values, &self.grads, range, rate, self.steps[frame]);
+        }
+    }
+
+    pub fn read(&self, gpu: &Gpu) -> Result<Vec<f32>, GpuError> {
+        gpu.read(&self.values)
+    }
+}
+
+/// A vertex field with one second moment.
+pub struct VertexGroup {
+    pub values: Buffer<f32>,
+    pub grads: Buffer<f32>,
+    adam: UniformAdam,
+    steps: u32,
+}
+
+impl VertexGroup {
+    /// `start [V, 3]`
+    pub fn new(gpu: &Gpu, name: &str, start: &[f32], config: AdamConfig) -> Self {
+        Self {
+            values: gpu.upload(&format!("fit/{name}"), start),
+            grads: gpu.zeros(&format!("fit/grad_{name}"), start.len()),
+            adam: UniformAdam::new(gpu, name, start.len() / 3, config),
+            steps: 0,
+        }
+    }
+
+    pub fn clear(&self, recorder: &mut Recorder<'_>) {
+        recorder.clear(&self.grads);
+    }
+
+    pub fn step(&mut self, recorder: &mut Recorder<'_>, rate: f32) {
+        self.steps += 1;
+        self.adam.step(recorder, &self.values, &self.grads, rate, self.steps);
+    }
+
+    pub fn read(&self, gpu: &Gpu) -> Result<Vec<f32>, GpuError> {
+        gpu.read(&self.values)
+    }
+}
