@@ -1,3 +1,72 @@
-//! The fit of a body and its looks to a clip.
+//! The fit of a body and its looks to a clip (paper §3): stage 0 on the CPU finds poses and shape from keypoints and
+//! masks, stage 1 on the device fits geometry with one colour a face, stage 2 the hash texture.
 
+mod colours;
+pub mod config;
+mod control;
+mod frames;
+mod geometry;
+mod groups;
+mod scene;
 pub mod stage0;
+mod state;
+mod texture;
+
+use std::path::Path;
+use std::sync::Arc;
+
+pub use config::FitConfig;
+pub use control::{Control, Flow, StepReport};
+pub use state::{FitState, Stage};
+
+use crate::body::Body;
+use crate::camera::Camera;
+use crate::capture::Capture;
+use crate::gpu::{Gpu, GpuError};
+use crate::npz::NpzError;
+use scene::Scene;
+
+/// Why a fit did not end.
+#[derive(Debug, thiserror::Error)]
+pub enum FitError {
+    /// [`Control::after_step`] said so; the last checkpoint stands.
+    #[error("the fit was stopped")]
+    Stopped,
+    /// A parameter or a loss is no longer finite.
+    #[error("the fit diverged in step {step} of the {stage:?} stage")]
+    Diverged { stage: Stage, step: u32, losses: std::collections::BTreeMap<&'static str, f32> },
+    #[error(transparent)]
+    Device(#[from] GpuError),
+    #[error("texture field: {0}")]
+    Field(#[from] crate::ops::texture_field::TextureFieldError),
+    #[error("checkpoint: {0}")]
+    Checkpoint(#[from] NpzError),
+}
+
+/// Runs stages 1 and 2 from `state` on; `camera` is stage 0's. The state of every checkpoint goes to `checkpoint`.
+pub fn run(
+    gpu: &Arc<Gpu>,
+    body: &Body,
+    capture: &Capture,
+    camera: &Camera,
+    config: &FitConfig,
+    mut state: FitState,
+    checkpoint: &Path,
+    control: &mut dyn Control,
+) -> Result<FitState, FitError> {
+    let n_levels = config.geometry.iter().chain(&config.texture).map(|p| p.level + 1).max().unwrap_or(1);
+    let frames = frames::upload(gpu, capture, camera, n_levels);
+    let scene = Scene::new(gpu, body, frames, camera.width.max(camera.height));
+    if state.stage == Stage::Geometry {
+        geometry::run(&scene, body, capture, config, &mut state, checkpoint, control)?;
+        state.stage = Stage::Texture;
+        state.step = 0;
+        state.save(checkpoint)?;
+    }
+    if state.stage == Stage::Texture {
+        texture::run(&scene, body, config, &mut state, checkpoint, control)?;
+        state.stage = Stage::Done;
+        state.save(checkpoint)?;
+    }
+    Ok(state)
+}
