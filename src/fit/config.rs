@@ -48,12 +48,16 @@ pub struct Phase {
     pub level: usize,
     /// SoftRas face blur, squared units of half the image side.
     pub sigma: f32,
-    /// SoftRas depth softness.
-    pub gamma: f32,
+    /// SoftRas depth softness γ·(far − near), metres.
+    pub depth_softness_m: f32,
     /// Factor on all learning rates.
     pub rate: f32,
     /// Whether D is fitted in this phase (else only β, pose and placement).
     pub offsets: bool,
+    /// Pairs of diffusion steps on the gradient of D: how smooth its moves are.
+    pub diffusion: usize,
+    /// Factor on the rates of pose and placement.
+    pub pose_rate: f32,
 }
 
 /// Everything that a fit depends on besides the clip and the body.
@@ -72,3 +76,78 @@ pub struct FitConfig {
     #[serde(skip)]
     pub field: TextureFieldConfig,
 }
+
+impl FitConfig {
+    /// A first look: half resolution, few passes.
+    pub fn draft(seed: u64) -> Self {
+        let standard = Self::standard(seed);
+        Self {
+            geometry: vec![
+                Phase { epochs: 6, offsets: false, ..COARSE },
+                Phase { epochs: 14, ..COARSE },
+            ],
+            texture: vec![Phase { epochs: 8, pose_rate: 0.3, ..FINE }],
+            ..standard
+        }
+    }
+
+    /// Good quality in minutes on two cores.
+    pub fn standard(seed: u64) -> Self {
+        Self {
+            seed,
+            batch: 4,
+            silhouette_gradient: SilhouetteGradient::Soft,
+            weights: Weights {
+                rgb: 1.0,
+                silhouette: 2.0,
+                keypoints: 0.02,
+                normal_consistency: 0.2,
+                face_area: 0.02,
+                laplacian: 0.5,
+            },
+            rates: Rates {
+                betas: 1e-2,
+                pose: 4e-3,
+                transl: 3e-3,
+                offsets: 1.5e-3,
+                face_colours: 1e-2,
+                texcoords: 2e-4,
+                field: 1e-2,
+            },
+            geometry: vec![
+                Phase { epochs: 10, offsets: false, ..COARSE },
+                Phase { epochs: 20, ..COARSE },
+                Phase { epochs: 10, diffusion: 4, rate: 0.7, ..FINE },
+            ],
+            texture: vec![Phase { epochs: 20, pose_rate: 0.3, ..FINE }],
+            pixel_rate: 0.5,
+            field: TextureFieldConfig::default(),
+        }
+    }
+
+    /// The paper's method as far as it tells: NMR silhouettes, plain offsets, full resolution throughout.
+    pub fn paper(seed: u64) -> Self {
+        let standard = Self::standard(seed);
+        let plain = Phase { diffusion: 0, ..FINE };
+        Self {
+            silhouette_gradient: SilhouetteGradient::Nmr,
+            geometry: vec![Phase { epochs: 10, offsets: false, ..plain.clone() }, Phase { epochs: 40, ..plain.clone() }],
+            texture: vec![Phase { epochs: 40, pose_rate: 0.3, ..plain }],
+            pixel_rate: 1.0,
+            ..standard
+        }
+    }
+}
+
+const COARSE: Phase = Phase {
+    epochs: 0,
+    level: 1,
+    sigma: 1e-4,
+    depth_softness_m: 0.02,
+    rate: 1.0,
+    offsets: true,
+    diffusion: 10,
+    pose_rate: 1.0,
+};
+
+const FINE: Phase = Phase { level: 0, sigma: 2e-5, depth_softness_m: 0.01, ..COARSE };

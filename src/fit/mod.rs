@@ -7,7 +7,10 @@ mod control;
 mod frames;
 mod geometry;
 mod groups;
+mod keypoint_term;
+mod mesh_losses;
 mod scene;
+mod soft;
 pub mod stage0;
 mod state;
 mod texture;
@@ -56,15 +59,15 @@ pub fn run(
 ) -> Result<FitState, FitError> {
     let n_levels = config.geometry.iter().chain(&config.texture).map(|p| p.level + 1).max().unwrap_or(1);
     let frames = frames::upload(gpu, capture, camera, n_levels);
-    let scene = Scene::new(gpu, body, frames, camera.width.max(camera.height));
+    let scene = Scene::new(gpu, body, frames, camera, &state.transl);
     if state.stage == Stage::Geometry {
-        geometry::run(&scene, body, capture, config, &mut state, checkpoint, control)?;
+        geometry::run(&scene, body, capture, camera, config, &mut state, checkpoint, control)?;
         state.stage = Stage::Texture;
         state.step = 0;
         state.save(checkpoint)?;
     }
     if state.stage == Stage::Texture {
-        texture::run(&scene, body, config, &mut state, checkpoint, control)?;
+        texture::run(&scene, config, &mut state, checkpoint, control)?;
         state.stage = Stage::Done;
         state.save(checkpoint)?;
     }

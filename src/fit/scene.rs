@@ -4,12 +4,22 @@ use std::sync::Arc;
 
 use super::frames::{DeviceFrame, FrameLevel};
 use crate::body::Body;
+use crate::camera::Camera;
 use crate::gpu::{Buffer, Gpu, Recorder};
 use crate::ops::corners::Corners;
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
 use crate::ops::project::Project;
 use crate::ops::skinning::{PoseAt, PoseState, ShapeState, SkinningBody};
 use crate::ops::viewport::Viewport;
+
+/// Half the depth that a person with stretched arms may need around the pelvis, with room to move.
+const REACH_M: f64 = 1.5;
+
+fn depth_range(camera: &Camera, transl: &[f32]) -> (f64, f64) {
+    let row = &camera.rotation[6..];
+    let z: f64 = (0..3).map(|k| row[k] * transl[k] as f64).sum::<f64>() + camera.translation[2];
+    ((z - REACH_M).max(0.05), z.max(0.1) + REACH_M)
+}
 
 /// Body, clip and the operators between them. One frame is in work at a time.
 pub struct Scene {
@@ -29,12 +39,15 @@ pub struct Scene {
     pub grad_joints: Buffer<f32>,
     /// Pixels of the largest crop.
     pub max_pixels: usize,
+    /// `[N]`: nearest and farthest camera-space z of a person at the frame's starting place, metres.
+    pub depth_ranges: Vec<(f64, f64)>,
     /// Half the longer side of the full image at level 0: SoftRas' unit.
     pub norm_px: f64,
 }
 
 impl Scene {
-    pub fn new(gpu: &Arc<Gpu>, body: &Body, frames: Vec<DeviceFrame>, image_side_px: u32) -> Self {
+    /// `transl [N, 3]` is where the person stands at the start.
+    pub fn new(gpu: &Arc<Gpu>, body: &Body, frames: Vec<DeviceFrame>, camera: &Camera, transl: &[f32]) -> Self {
         let corners = Arc::new(Corners::new(gpu, &body.faces, body.n_vertices()));
         let skinning = SkinningBody::new(gpu, body);
         let levels = frames.iter().flat_map(|f| &f.levels);
@@ -54,7 +67,8 @@ impl Scene {
             corners,
             frames,
             max_pixels,
-            norm_px: image_side_px as f64 / 2.0,
+            depth_ranges: transl.chunks_exact(3).map(|t| depth_range(camera, t)).collect(),
+            norm_px: camera.width.max(camera.height) as f64 / 2.0,
             gpu: gpu.clone(),
         }
     }

@@ -1,0 +1,90 @@
+//! The soft image of a frame (paper eq. 1) and its gradients' buffers.
+
+use super::config::Phase;
+use super::scene::Scene;
+use crate::gpu::{Buffer, Recorder};
+use crate::ops::soft_rasterize::{SoftRasterizeParams, SoftRasterizer};
+use crate::ops::viewport::Viewport;
+
+/// Entries of all tile lists for a face: a body's small triangles touch few tiles of 8 × 8 pixels.
+const LIST_ENTRIES_PER_FACE: usize = 16;
+
+/// The soft rasteriser with the gradients that its images receive.
+pub struct SoftTerm {
+    rasterizer: SoftRasterizer,
+    pub grad_rgb: Buffer<f32>,
+    pub grad_alpha: Buffer<f32>,
+}
+
+impl SoftTerm {
+    pub fn new(scene: &Scene) -> Self {
+        let (gpu, n) = (&scene.gpu, scene.max_pixels);
+        let entries = scene.corners.n_faces() * LIST_ENTRIES_PER_FACE;
+        Self {
+            rasterizer: SoftRasterizer::new(gpu, &scene.corners, n, entries),
+            grad_rgb: gpu.zeros("fit/grad_soft_rgb", n * 3),
+            grad_alpha: gpu.zeros("fit/grad_soft_alpha", n),
+        }
+    }
+
+    pub fn rgb(&self) -> &Buffer<f32> {
+        &self.rasterizer.rgb
+    }
+
+    pub fn alpha(&self) -> &Buffer<f32> {
+        &self.rasterizer.alpha
+    }
+
+    pub fn clear_gradients(&self, recorder: &mut Recorder<'_>) {
+        recorder.clear(&self.grad_rgb);
+        recorder.clear(&self.grad_alpha);
+    }
+
+    pub fn forward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        params: &SoftRasterizeParams,
+        viewport: &Viewport,
+        scene: &Scene,
+        face_colours: &Buffer<f32>,
+    ) {
+        self.rasterizer.forward(recorder, params, viewport, &scene.view, face_colours);
+    }
+
+    /// Adds to the scene's `grad_view` and to `grad_face_colours`.
+    pub fn backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        params: &SoftRasterizeParams,
+        viewport: &Viewport,
+        scene: &Scene,
+        face_colours: &Buffer<f32>,
+        grad_face_colours: &Buffer<f32>,
+    ) {
+        self.rasterizer.backward(
+            recorder,
+            params,
+            viewport,
+            face_colours,
+            &self.grad_rgb,
+            &self.grad_alpha,
+            &scene.grad_view,
+            grad_face_colours,
+        );
+    }
+}
+
+/// The constants of a frame's soft image. `near` and `far` enclose the person, and γ is rescaled to them, so that the
+/// phase's depth softness stays in metres.
+pub fn soft_params(scene: &Scene, phase: &Phase, frame: usize, background: [f32; 3]) -> SoftRasterizeParams {
+    let (near, far) = scene.depth_ranges[frame];
+    SoftRasterizeParams {
+        sigma: phase.sigma as f64,
+        gamma: phase.depth_softness_m as f64 / (far - near),
+        near,
+        far,
+        norm_px: scene.norm_px * 0.5f64.powi(phase.level as i32),
+        background: background.map(f64::from),
+        ..SoftRasterizeParams::new(1, 1)
+    }
+}
