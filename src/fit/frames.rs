@@ -3,6 +3,7 @@
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::gpu::{Buffer, Gpu};
+use crate::ops::{Target, pack_pixel};
 
 /// One resolution of one frame's crop.
 pub struct FrameLevel {
@@ -10,10 +11,17 @@ pub struct FrameLevel {
     pub height: u32,
     /// The capture's camera, scaled and shifted to the crop: pixel (0, 0) is the crop's first.
     pub camera: Camera,
-    /// `[height, width]`: r, g, b and mask as bytes, from the lowest up.
+    /// `[height, width]`, see [`pack_pixel`].
     pub target: Buffer<u32>,
     /// Pixels inside the mask.
     pub n_foreground: usize,
+}
+
+impl FrameLevel {
+    /// The masked ground truth over a background (paper §3.5).
+    pub fn masked(&self, background: [f32; 3]) -> Target<'_> {
+        Target::Packed { pixels: &self.target, offset: 0, background: Some(background) }
+    }
 }
 
 /// A frame on the device.
@@ -86,7 +94,7 @@ impl Packed {
             cy: camera.cy * scale - self.y0 as f64,
             ..camera.clone()
         };
-        let packed: Vec<u32> = self.rgbm.iter().map(|&p| u32::from_le_bytes(p)).collect();
+        let packed: Vec<u32> = self.rgbm.iter().map(|&[r, g, b, mask]| pack_pixel([r, g, b], mask)).collect();
         FrameLevel {
             width: self.width as u32,
             height: self.height as u32,

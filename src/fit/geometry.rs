@@ -10,7 +10,7 @@ use rand_pcg::Pcg32;
 
 use super::FitError;
 use super::colours::mean_face_colours;
-use super::config::{FitConfig, Phase, SilhouetteGradient};
+use super::config::{FitConfig, Phase};
 use super::control::{Control, Flow, Pace, StepReport};
 use super::groups::{Group, VertexGroup};
 use super::keypoint_term::KeypointTerm;
@@ -25,7 +25,6 @@ use crate::gpu::{Buffer, Recorder};
 use crate::ops::LossSlot;
 use crate::ops::adam::AdamConfig;
 use crate::ops::diffuse::Diffuse;
-use crate::ops::nmr::Nmr;
 use crate::ops::rgb_l1::RgbL1;
 use crate::ops::silhouette_iou::SilhouetteIou;
 use crate::ops::skinning::PoseAt;
@@ -91,7 +90,6 @@ impl Groups {
 struct Terms {
     rgb: RgbL1,
     iou: SilhouetteIou,
-    nmr: Option<Nmr>,
     soft: SoftTerm,
     keypoints: Option<KeypointTerm>,
     mesh: MeshLosses,
@@ -109,8 +107,7 @@ impl Terms {
         let n = scene.max_pixels;
         Self {
             rgb: RgbL1::new(gpu, n),
-            iou: SilhouetteIou::new(gpu, n),
-            nmr: (config.silhouette_gradient == SilhouetteGradient::Nmr).then(|| Nmr::new(gpu, &scene.corners, n)),
+            iou: SilhouetteIou::new(gpu),
             soft: SoftTerm::new(scene),
             keypoints: KeypointTerm::new(gpu, body, capture, camera),
             mesh: MeshLosses::new(gpu, body, &topology),
@@ -266,30 +263,23 @@ fn record_frame(
     let viewport = scene.forward(recorder, level, groups.at(frame));
     let n = viewport.pixels();
 
+    let target = level.masked(background);
+
     scene.hard.shade(recorder, &viewport, &groups.face_colours.values, background, &terms.image);
-    terms.rgb.forward(recorder, n, &terms.image, &level.target, background, terms.slot(RGB));
+    terms.rgb.forward(recorder, n, &terms.image, target, None, terms.slot(RGB));
     recorder.clear(&terms.grad_image);
-    terms.rgb.backward(recorder, n, &terms.image, &level.target, background, rgb_weight, &terms.grad_image);
+    terms.rgb.backward(recorder, n, &terms.image, target, None, rgb_weight, &terms.grad_image);
     scene.hard.shade_backward(recorder, &viewport, &scene.view, &terms.grad_image, &groups.face_colours.grads);
 
-    if let Some(nmr) = &terms.nmr {
-        let alpha = &scene.hard.alpha;
-        terms.iou.forward(recorder, n, alpha, &level.target, terms.slot(SILHOUETTE));
-        recorder.clear(&terms.grad_alpha);
-        terms.iou.backward(recorder, n, alpha, &level.target, part * weights.silhouette, &terms.grad_alpha);
-        nmr.backward(recorder, &viewport, &scene.view, &scene.hard.pix_to_face, alpha, &terms.grad_alpha, &scene.grad_view);
-    }
+    let silhouette_weight = part * weights.silhouette;
 
     let params = soft_params(scene, phase, frame, background);
     terms.soft.forward(recorder, &params, &viewport, scene, &groups.face_colours.values);
-    terms.rgb.forward(recorder, n, terms.soft.rgb(), &level.target, background, terms.slot(RGB_SOFT));
+    terms.rgb.forward(recorder, n, terms.soft.rgb(), target, None, terms.slot(RGB_SOFT));
     terms.soft.clear_gradients(recorder);
-    terms.rgb.backward(recorder, n, terms.soft.rgb(), &level.target, background, rgb_weight, &terms.soft.grad_rgb);
-    if terms.nmr.is_none() {
-        let alpha = terms.soft.alpha();
-        terms.iou.forward(recorder, n, alpha, &level.target, terms.slot(SILHOUETTE));
-        terms.iou.backward(recorder, n, alpha, &level.target, part * weights.silhouette, &terms.soft.grad_alpha);
-    }
+    terms.rgb.backward(recorder, n, terms.soft.rgb(), target, None, rgb_weight, &terms.soft.grad_rgb);
+    terms.iou.forward(recorder, n, terms.soft.alpha(), target, terms.slot(SILHOUETTE));
+    terms.iou.backward(recorder, n, target, silhouette_weight, &terms.soft.grad_alpha);
     terms.soft.backward(recorder, &params, &viewport, scene, &groups.face_colours.values, &groups.face_colours.grads);
 
     if let Some(keypoints) = &terms.keypoints {

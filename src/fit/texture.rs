@@ -13,6 +13,7 @@ use super::FitError;
 use super::config::{FitConfig, Phase};
 use super::control::{Control, Flow, Pace, StepReport};
 use super::groups::Group;
+use super::frames::FrameLevel;
 use super::scene::Scene;
 use super::soft::{SoftTerm, soft_params};
 use super::state::{FitState, Stage};
@@ -80,17 +81,37 @@ struct Terms {
     grad_rgb: Buffer<f32>,
     grad_coords: Buffer<f32>,
     grad_bary: Buffer<f32>,
+    /// `[N]`: weights of the pixels at level 0, see [`trusted_pixels`].
+    trusted: Vec<Buffer<f32>>,
     losses: Buffer<f32>,
+}
+
+/// 1 for pixels well inside the mask, 0 elsewhere: the mask's border mixes the person with the background, and the texture
+/// must not learn that.
+fn trusted_pixels(level: &FrameLevel, pixels: &[u32]) -> Vec<f32> {
+    let (width, height) = (level.width as usize, level.height as usize);
+    let inside = |x: usize, y: usize| x < width && y < height && pixels[y * width + x] >> 24 >= 128;
+    let trusted = |(x, y): (usize, usize)| {
+        let around = [(1, 1), (0, 1), (2, 1), (1, 0), (1, 2)];
+        around.iter().all(|&(dx, dy)| inside((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1))) as u8 as f32
+    };
+    (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(trusted).collect()
 }
 
 impl Terms {
     fn new(scene: &Scene, config: &FitConfig, state: &FitState) -> Result<Self, FitError> {
         let (gpu, n) = (&scene.gpu, scene.max_pixels);
+        let trusted = scene.frames.iter().map(|frame| -> Result<_, FitError> {
+            let level = &frame.levels[0];
+            Ok(gpu.upload("fit/trusted", &trusted_pixels(level, &gpu.read(&level.target)?)))
+        });
+        let trusted = trusted.collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
+            trusted,
             field: TextureField::new(gpu, config.field, &state.field, n)?,
             interpolate: Interpolate::new(gpu, n, n),
             rgb: RgbL1::new(gpu, n),
-            iou: SilhouetteIou::new(gpu, n),
+            iou: SilhouetteIou::new(gpu),
             soft: SoftTerm::new(scene),
             face_colours: gpu.upload("fit/face_colours", &state.face_colours),
             grad_face_colours: gpu.zeros("fit/grad_face_colours", state.face_colours.len()),
@@ -211,7 +232,7 @@ fn record_frame(
     step: u32,
     recorder: &mut Recorder<'_>,
 ) {
-    let level = &scene.frames[frame].levels[phase.level];
+    let level = &scene.frames[frame].levels[0];
     let at = PoseAt { poses: &groups.poses.values, transl: &groups.transl.values, frame };
     let grad_at = PoseAt { poses: &groups.poses.grads, transl: &groups.transl.grads, frame };
     let pixels = level.n_foreground.max(1) as f32;
@@ -230,9 +251,11 @@ fn record_frame(
     field.forward(recorder, &interpolate.coords, &interpolate.count, n_max);
     interpolate.scatter(recorder, n, &field.rgb, background, image);
     let weight = part * config.weights.rgb / (pixels * config.pixel_rate);
-    terms.rgb.forward(recorder, n, image, &level.target, background, terms.slot(RGB));
+    let weights = Some(&terms.trusted[frame]);
+    let target = level.masked(background);
+    terms.rgb.forward(recorder, n, image, target, weights, terms.slot(RGB));
     recorder.clear(grad_image);
-    terms.rgb.backward(recorder, n, image, &level.target, background, weight, grad_image);
+    terms.rgb.backward(recorder, n, image, target, weights, weight, grad_image);
     interpolate.gather(recorder, n, grad_image, grad_rgb);
     recorder.clear(grad_coords);
     field.backward(recorder, &interpolate.coords, &interpolate.count, n_max, grad_rgb, grad_coords);
@@ -256,11 +279,11 @@ fn record_frame(
     let rgb_weight = part * config.weights.rgb / pixels;
     terms.soft.forward(recorder, &params, &viewport, scene, &terms.face_colours);
     terms.soft.clear_gradients(recorder);
-    terms.rgb.forward(recorder, n, terms.soft.rgb(), &level.target, background, terms.slot(RGB_SOFT));
-    terms.rgb.backward(recorder, n, terms.soft.rgb(), &level.target, background, rgb_weight, &terms.soft.grad_rgb);
-    terms.iou.forward(recorder, n, terms.soft.alpha(), &level.target, terms.slot(SILHOUETTE));
+    terms.rgb.forward(recorder, n, terms.soft.rgb(), target, None, terms.slot(RGB_SOFT));
+    terms.rgb.backward(recorder, n, terms.soft.rgb(), target, None, rgb_weight, &terms.soft.grad_rgb);
+    terms.iou.forward(recorder, n, terms.soft.alpha(), target, terms.slot(SILHOUETTE));
     let weight = part * config.weights.silhouette;
-    terms.iou.backward(recorder, n, terms.soft.alpha(), &level.target, weight, &terms.soft.grad_alpha);
+    terms.iou.backward(recorder, n, target, weight, &terms.soft.grad_alpha);
     terms.soft.backward(recorder, &params, &viewport, scene, &terms.face_colours, &terms.grad_face_colours);
     scene.backward(recorder, level, at, grad_at);
 }

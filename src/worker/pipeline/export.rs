@@ -40,28 +40,27 @@ pub(super) fn export(
     monitor.start(Stage::Bake)?;
     let frames: Vec<u32> = fitted.capture.frames.iter().map(|f| f.index).collect();
     let model = Arc::new(model_of(&fitted, &frames));
-    let internal = PipelineError::internal;
-    model.check().map_err(internal)?;
-    model.save(&out.join("model.npz")).map_err(internal)?;
-    let renderer = Renderer::new(gpu, &model).map_err(internal)?;
+        model.check()?;
+    model.save(&out.join("model.npz"))?;
+    let renderer = Renderer::new(gpu, &model)?;
     let layout = UvLayout::of_body(&model.body);
     let texture = bake(&layout, input.options.texture_px, |points| renderer.texture().colours(gpu, points));
-    let texture = texture.map_err(internal)?;
-    texture.save(out.join("texture.png")).map_err(internal)?;
+    let texture = texture?;
+    texture.save(out.join("texture.png"))?;
 
     monitor.start(Stage::Export)?;
-    let png = std::fs::read(out.join("texture.png")).map_err(internal)?;
+    let png = std::fs::read(out.join("texture.png"))?;
     let glb = write_glb(&model, &layout, &Texture { png: &png });
-    std::fs::write(out.join("avatar.glb"), glb).map_err(internal)?;
-    let motion = BufWriter::new(File::create(out.join("motion.npz")).map_err(internal)?);
-    write_motion(&model, motion).map_err(internal)?;
-    let mesh = model.mesh(None).ok_or_else(|| internal("the avatar has no T-pose"))?;
-    ply::write(&mesh, BufWriter::new(File::create(out.join("mesh.ply")).map_err(internal)?)).map_err(internal)?;
+    std::fs::write(out.join("avatar.glb"), glb)?;
+    let motion = BufWriter::new(File::create(out.join("motion.npz"))?);
+    write_motion(&model, motion)?;
+    let mesh = model.mesh(None).context("the T-pose")?;
+    ply::write(&mesh, BufWriter::new(File::create(out.join("mesh.ply"))?))?;
     let scores = score_frames(&renderer, &fitted.capture, &model.camera, monitor)?;
     monitor.end();
     let report = report(gpu, &fitted, input, &scores, monitor);
-    let text = serde_json::to_string_pretty(&report).map_err(internal)?;
-    std::fs::write(out.join("report.json"), text).map_err(internal)?;
+    let text = serde_json::to_string_pretty(&report)?;
+    std::fs::write(out.join("report.json"), text)?;
     Ok(Outcome { frames, camera: model.camera.clone(), metrics: report["metrics"].clone() })
 }
 
@@ -105,7 +104,7 @@ fn score_frames(
             samples: 2,
             ..RenderSpec::of_frame(renderer.model(), k)
         };
-        let picture = renderer.render(&spec).map_err(PipelineError::internal)?;
+        let picture = renderer.render(&spec)?;
         let ours: Vec<bool> = picture.pixels().map(|p| p.0[3] >= 128).collect();
         let theirs: Vec<bool> = frame.mask.iter().map(|&m| m >= 128).collect();
         scores.push(FrameScore { frame: frame.index, iou: mask_iou(&ours, &theirs), psnr: psnr_on_white(&picture, frame, camera) });

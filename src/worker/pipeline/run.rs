@@ -1,14 +1,17 @@
 //! The stages in order.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::{Folders, Observer, Outcome, PipelineError, PipelineInput, Progress, Stage, StopReason, export, from_fit};
+use anyhow::anyhow;
+
+use super::{Observer, Outcome, PipelineError, PipelineInput, Progress, Stage, StopReason, export};
 use crate::body::Body;
-use crate::capture::{Capture, CaptureInputs, CaptureOptions};
+use crate::capture::{Capture, CaptureOptions};
 use crate::fit::stage0::{self, Stage0Error, Stage0Options, Stage0Result};
-use crate::fit::{self, Control, FitConfig, FitState, Flow, StepReport};
+use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
 use crate::gpu::Gpu;
 use crate::jobs::{JobOptions, Preset};
 
@@ -25,23 +28,26 @@ const SHARES: [(Stage, f32); 6] = [
 /// Seconds that each stage took.
 pub(super) type StageSecs = BTreeMap<&'static str, f64>;
 
-/// Runs a job. On a stop the last checkpoint stands in `folders.work`, and a later run goes on from it.
+/// Runs a job. `data_dir` holds `bodies/`; `work_dir` holds scratch and the checkpoint and survives restarts: after a
+/// stop a later run goes on from there; `out_dir` gets the results.
 pub fn run(
     gpu: &Arc<Gpu>,
     input: &PipelineInput,
-    folders: Folders<'_>,
+    data_dir: &Path,
+    work_dir: &Path,
+    out_dir: &Path,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, PipelineError> {
     let mut monitor = Monitor::new(gpu, observer);
     let config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
-    let body = load_body(folders, &input.options.body)?;
-    let capture = load_capture(input, folders)?;
+    let body = load_body(data_dir, &input.options.body)?;
+    let capture = load_capture(input, work_dir)?;
     monitor.start(Stage::Pose)?;
     let start = solve_poses(&body, &capture, &mut monitor)?;
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
-    let checkpoint = folders.work.join("checkpoint.npz");
+    let checkpoint = work_dir.join("checkpoint.npz");
     // A checkpoint that cannot be read is worth no more than none.
     let state = match checkpoint.exists() {
         true => fresh.resume(&checkpoint).ok().flatten().unwrap_or(fresh),
@@ -51,7 +57,7 @@ pub fn run(
     let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
     let state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     let done = export::Fitted { body, capture, start, state, config };
-    export::export(gpu, done, input, folders.out, &mut monitor)
+    export::export(gpu, done, input, out_dir, &mut monitor)
 }
 
 /// Frames and pixels that a preset looks at.
@@ -75,25 +81,18 @@ fn config_of(options: &JobOptions) -> FitConfig {
     }
 }
 
-fn load_body(folders: Folders<'_>, name: &str) -> Result<Body, PipelineError> {
+fn load_body(data_dir: &Path, name: &str) -> Result<Body, PipelineError> {
     if name == "test" {
         return Ok(Body::test_body());
     }
-    let path = folders.data.join("bodies").join(format!("{name}.body.npz"));
+    let path = data_dir.join("bodies").join(format!("{name}.body.npz"));
     Body::load(&path).map_err(|e| {
-        PipelineError::Internal(format!("body {name:?}: {e}; `effigy body import` puts one into {}", path.display()))
+        PipelineError::Internal(anyhow!("body {name:?}: {e}; `effigy body import` makes {}", path.display()))
     })
 }
 
-fn load_capture(input: &PipelineInput, folders: Folders<'_>) -> Result<Capture, PipelineError> {
-    let inputs = CaptureInputs {
-        video: input.video.clone(),
-        masks: input.masks.clone(),
-        keypoints: input.keypoints.clone(),
-        camera: input.camera.clone(),
-        poses: input.poses.clone(),
-    };
-    Ok(Capture::load(&inputs, &capture_options(&input.options), folders.work)?)
+fn load_capture(input: &PipelineInput, work_dir: &Path) -> Result<Capture, PipelineError> {
+    Ok(Capture::load(&input.capture_inputs(), &capture_options(&input.options), work_dir)?)
 }
 
 fn solve_poses(body: &Body, capture: &Capture, monitor: &mut Monitor<'_>) -> Result<Stage0Result, PipelineError> {
@@ -105,6 +104,19 @@ fn solve_poses(body: &Body, capture: &Capture, monitor: &mut Monitor<'_>) -> Res
         Stage0Error::Stopped => PipelineError::Stopped(monitor.stopped.unwrap_or(StopReason::Shutdown)),
         other => PipelineError::Unfit(other.to_string()),
     })
+}
+
+fn from_fit(error: FitError, stopped: Option<StopReason>) -> PipelineError {
+    let detail = error.to_string();
+    match error {
+        FitError::Stopped => PipelineError::Stopped(stopped.unwrap_or(StopReason::Shutdown)),
+        FitError::Diverged { losses, .. } => {
+            let losses = losses.into_iter().map(|(name, value)| (name.to_owned(), value as f64)).collect();
+            PipelineError::Diverged { detail, losses }
+        }
+        FitError::Device(error) => PipelineError::Device(error),
+        other => PipelineError::Internal(other.into()),
+    }
 }
 
 /// Turns steps of stages into the progress of the whole, and asks whether to go on.

@@ -1,0 +1,173 @@
+//! `effigy fit`: the pipeline of a job without a server.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context, bail};
+use effigy::data_dir::data_dir;
+use effigy::gpu::{DeviceSelect, Gpu};
+use effigy::jobs::{JobOptions, Preset};
+use effigy::worker::pipeline::{self, Observer, PipelineInput, Progress, StopReason};
+use indicatif::{ProgressBar, ProgressStyle};
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// A folder with video.*, masks.*, keypoints.* and, where known, camera.json and poses.npz. The options below name
+    /// single files instead.
+    clip: Option<PathBuf>,
+    #[arg(long)]
+    video: Option<PathBuf>,
+    /// A video, or a zip of PNG or JPEG.
+    #[arg(long)]
+    masks: Option<PathBuf>,
+    /// JSON, or a zip of OpenPose's JSON a frame.
+    #[arg(long)]
+    keypoints: Option<PathBuf>,
+    #[arg(long)]
+    camera: Option<PathBuf>,
+    /// An npz with `poses` and `trans` or `pelvis`. Never taken from the folder: it is the answer to a question.
+    #[arg(long)]
+    poses: Option<PathBuf>,
+    #[arg(long, default_value = "standard")]
+    preset: String,
+    #[arg(long)]
+    max_frames: Option<u32>,
+    #[arg(long)]
+    max_side_px: Option<u32>,
+    /// A body of the data folder.
+    #[arg(long, default_value = "default")]
+    body: String,
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Side of the baked texture: 2048 or 4096.
+    #[arg(long, default_value_t = 2048)]
+    texture_px: u32,
+    /// Where the avatar goes. A checkpoint in it is gone on from.
+    #[arg(long, default_value = "avatar")]
+    out: PathBuf,
+    /// Progress as lines of JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let input = input_of(&args)?;
+    let work = args.out.join("work");
+    std::fs::create_dir_all(&work).with_context(|| work.display().to_string())?;
+    let gpu = Gpu::open(&DeviceSelect::Auto)?;
+    let stopped = stop_on_ctrl_c();
+    let mut observer = Follower { bar: bar(args.json), json: args.json, stopped };
+    let outcome = pipeline::run(&gpu, &input, &data_dir(), &work, &args.out, &mut observer)?;
+    observer.bar.finish_and_clear();
+    std::fs::remove_dir_all(&work)?;
+    for (kernel, time) in gpu.take_timings() {
+        eprintln!("{:8.2} s {:8} calls {:8.3} ms  {kernel}", time.secs, time.calls, 1e3 * time.secs / time.calls as f64);
+    }
+    if args.json {
+        println!("{}", serde_json::json!({ "out": args.out, "metrics": outcome.metrics }));
+    } else {
+        println!("{}\n{:#}", args.out.join("avatar.glb").display(), outcome.metrics);
+    }
+    Ok(())
+}
+
+fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
+    let preset = match args.preset.as_str() {
+        "draft" => Preset::Draft,
+        "standard" => Preset::Standard,
+        "paper" => Preset::Paper,
+        other => bail!("preset {other:?}: expected draft, standard or paper"),
+    };
+    let options = JobOptions {
+        preset,
+        max_frames: args.max_frames,
+        max_side_px: args.max_side_px,
+        body: args.body.clone(),
+        seed: args.seed,
+        texture_px: args.texture_px,
+    };
+    options.check()?;
+    let part = |given: &Option<PathBuf>, name: &str| -> anyhow::Result<Option<PathBuf>> {
+        match (given, &args.clip) {
+            (Some(path), _) => Ok(Some(path.clone())),
+            (None, Some(folder)) => find(folder, name),
+            (None, None) => Ok(None),
+        }
+    };
+    let needed = |given: &Option<PathBuf>, name: &str| -> anyhow::Result<PathBuf> {
+        part(given, name)?.with_context(|| format!("{name}: give a clip's folder, or --{name} FILE"))
+    };
+    Ok(PipelineInput {
+        video: needed(&args.video, "video")?,
+        masks: needed(&args.masks, "masks")?,
+        keypoints: needed(&args.keypoints, "keypoints")?,
+        camera: part(&args.camera, "camera")?,
+        poses: args.poses.clone(),
+        options,
+    })
+}
+
+/// The file `name.*` of a folder.
+fn find(folder: &Path, name: &str) -> anyhow::Result<Option<PathBuf>> {
+    let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
+    let mut found: Vec<PathBuf> = entries
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| path.is_file() && path.file_stem().is_some_and(|stem| stem == name))
+        .collect();
+    found.sort();
+    Ok(found.into_iter().next())
+}
+
+fn stop_on_ctrl_c() -> Arc<AtomicBool> {
+    let stopped = Arc::new(AtomicBool::new(false));
+    let flag = stopped.clone();
+    std::thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        if runtime.is_ok_and(|r| r.block_on(tokio::signal::ctrl_c()).is_ok()) {
+            flag.store(true, Ordering::Relaxed);
+        }
+    });
+    stopped
+}
+
+fn bar(json: bool) -> ProgressBar {
+    if json {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{prefix:9} [{bar:40}] {percent:>3} %  {msg}");
+    ProgressBar::new(1000).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("#> "))
+}
+
+/// Shows progress to people or as JSON.
+struct Follower {
+    bar: ProgressBar,
+    json: bool,
+    stopped: Arc<AtomicBool>,
+}
+
+impl Observer for Follower {
+    fn progress(&mut self, p: &Progress) {
+        if self.json {
+            if p.step == 0 || p.step == p.steps || !p.losses.is_empty() {
+                let line = serde_json::json!({
+                    "stage": p.stage.name(), "step": p.step, "steps": p.steps, "progress": p.progress,
+                    "eta_secs": p.eta_secs, "losses": p.losses,
+                });
+                println!("{line}");
+            }
+            return;
+        }
+        self.bar.set_prefix(p.stage.name());
+        self.bar.set_position((p.progress * 1000.0) as u64);
+        let losses: Vec<String> = p.losses.iter().map(|(name, value)| format!("{name} {value:.4}")).collect();
+        let left = p.eta_secs.map_or(String::new(), |secs| format!("{secs:.0} s left  "));
+        self.bar.set_message(format!("{left}{}", losses.join("  ")));
+    }
+
+    fn stop(&mut self) -> Option<StopReason> {
+        self.stopped.load(Ordering::Relaxed).then_some(StopReason::Shutdown)
+    }
+
+    fn idle(&mut self, _gpu: &Arc<Gpu>) {}
+}
