@@ -101,7 +101,7 @@ struct Terms {
 }
 
 impl Terms {
-    fn new(scene: &Scene, body: &Body, capture: &Capture, camera: &Camera, config: &FitConfig) -> Self {
+    fn new(scene: &Scene, body: &Body, capture: &Capture, camera: &Camera) -> Self {
         let gpu = &scene.gpu;
         let topology = Topology::new(body.n_vertices(), &body.faces);
         let n = scene.max_pixels;
@@ -137,7 +137,7 @@ pub(super) fn run(
     control: &mut dyn Control,
 ) -> Result<(), FitError> {
     let n_frames = scene.frames.len();
-    let terms = Terms::new(scene, body, capture, camera, config);
+    let terms = Terms::new(scene, body, capture, camera);
     let mut groups = Groups::new(scene, state);
     let mut pace = Pace::new();
     let batches = n_frames.div_ceil(config.batch) as u32;

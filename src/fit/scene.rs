@@ -6,11 +6,11 @@ use super::frames::{DeviceFrame, FrameLevel};
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::gpu::{Buffer, Gpu, Recorder};
-use crate::ops::corners::Corners;
+use crate::ops::Corners;
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
 use crate::ops::project::Project;
 use crate::ops::skinning::{PoseAt, PoseState, ShapeState, SkinningBody};
-use crate::ops::viewport::Viewport;
+use crate::ops::Viewport;
 
 /// Half the depth that a person with stretched arms may need around the pelvis, with room to move.
 const REACH_M: f64 = 1.5;

@@ -4,7 +4,7 @@ use super::config::Phase;
 use super::scene::Scene;
 use crate::gpu::{Buffer, Recorder};
 use crate::ops::soft_rasterize::{SoftRasterizeParams, SoftRasterizer};
-use crate::ops::viewport::Viewport;
+use crate::ops::Viewport;
 
 /// Entries of all tile lists for a face: a body's small triangles touch few tiles of 8 × 8 pixels.
 const LIST_ENTRIES_PER_FACE: usize = 16;

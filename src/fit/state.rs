@@ -59,7 +59,7 @@ impl FitState {
             poses: poses.concat(),
             transl: transl.concat(),
             face_colours: vec![0.5; body.n_faces() * 3],
-            field: TextureFieldParams::random(field, seed),
+            field: TextureFieldParams::random(&field, seed),
         }
     }
 

@@ -1,9 +1,4 @@
-//! A job from files to files: decode, fit, bake, export. `effigy fit` runs the same pipeline without a server.
-
-mod export;
-mod run;
-
-pub use run::run;
+//! A job from files to files: its types, and (below) its run.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -121,9 +116,6 @@ pub enum PipelineError {
     Stopped(StopReason),
     #[error(transparent)]
     BadInput(#[from] CaptureError),
-    /// The clip is well formed, but no person could be fitted to it.
-    #[error("{0}")]
-    Unfit(String),
     #[error("the fit diverged: {detail}")]
     Diverged { detail: String, losses: BTreeMap<String, f64> },
     #[error(transparent)]
