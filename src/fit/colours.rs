@@ -28,9 +28,9 @@ pub(super) fn mean_face_colours(
         let colour = gpu.upload("fit/target_colour", &colour);
         let seen = gpu.upload("fit/target_seen", &seen);
         let mut recorder = gpu.recorder("fit/mean_face_colours");
-        let viewport = scene.forward(&mut recorder, level, PoseAt { poses, transl, frame });
-        scene.hard.shade_backward(&mut recorder, &viewport, &scene.view, &colour, &sums);
-        scene.hard.shade_backward(&mut recorder, &viewport, &scene.view, &seen, &counts);
+        scene.forward(&mut recorder, level, PoseAt { poses, transl, frame });
+        scene.hard.shade_backward(&mut recorder, &level.camera, &scene.view, &colour, &sums);
+        scene.hard.shade_backward(&mut recorder, &level.camera, &scene.view, &seen, &counts);
         recorder.submit()?;
     }
     let (mut colours, counts) = (gpu.read(&sums)?, gpu.read(&counts)?);
@@ -57,9 +57,10 @@ fn fill_unseen(faces: &[[u32; 3]], colours: &mut [f32], counts: &[f32]) {
         }
         let mut filled = Vec::new();
         for (f, face) in faces.iter().enumerate().filter(|(f, _)| !known[*f]) {
-            let sum = face.iter().map(|&v| at_vertex[v as usize]).fold([0.0; 4], |a, b| {
-                [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]]
-            });
+            let sum = face
+                .iter()
+                .map(|&v| at_vertex[v as usize])
+                .fold([0.0; 4], |a, b| [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]]);
             if sum[3] > 0.0 {
                 (0..3).for_each(|c| colours[3 * f + c] = sum[c] / sum[3]);
                 filled.push(f);

@@ -82,10 +82,7 @@ impl FitConfig {
     pub fn draft(seed: u64) -> Self {
         let standard = Self::standard(seed);
         Self {
-            geometry: vec![
-                Phase { epochs: 6, offsets: false, ..COARSE },
-                Phase { epochs: 14, ..COARSE },
-            ],
+            geometry: vec![Phase { epochs: 6, offsets: false, ..COARSE }, Phase { epochs: 14, ..COARSE }],
             texture: vec![Phase { epochs: 8, pose_rate: 0.3, ..FINE }],
             ..standard
         }
@@ -131,7 +128,10 @@ impl FitConfig {
         let plain = Phase { diffusion: 0, ..FINE };
         Self {
             silhouette_gradient: SilhouetteGradient::Nmr,
-            geometry: vec![Phase { epochs: 10, offsets: false, ..plain.clone() }, Phase { epochs: 40, ..plain.clone() }],
+            geometry: vec![
+                Phase { epochs: 10, offsets: false, ..plain.clone() },
+                Phase { epochs: 40, ..plain.clone() },
+            ],
             texture: vec![Phase { epochs: 40, pose_rate: 0.3, ..plain }],
             pixel_rate: 1.0,
             ..standard

@@ -67,9 +67,9 @@ impl Packed {
         let mut rgbm = Vec::with_capacity(width * height);
         for y in 0..height {
             for x in 0..width {
-                let four = [(0, 0), (1, 0), (0, 1), (1, 1)]
-                    .map(|(dx, dy)| (2 * x + dx, 2 * y + dy))
-                    .map(|(x, y)| if x < self.width && y < self.height { self.rgbm[y * self.width + x] } else { [0; 4] });
+                let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (2 * x + dx, 2 * y + dy)).map(|(x, y)| {
+                    if x < self.width && y < self.height { self.rgbm[y * self.width + x] } else { [0; 4] }
+                });
                 let inside = four.iter().filter(|p| p[3] >= 128).count();
                 let counted = |p: &&[u8; 4]| inside == 0 || p[3] >= 128;
                 let n = four.iter().filter(counted).count() as u32;

@@ -23,16 +23,15 @@ use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::gpu::{Buffer, Recorder};
 use crate::ops::LossSlot;
+use crate::ops::Topology;
 use crate::ops::adam::AdamConfig;
 use crate::ops::diffuse::Diffuse;
 use crate::ops::rgb_l1::RgbL1;
 use crate::ops::silhouette_iou::SilhouetteIou;
 use crate::ops::skinning::PoseAt;
-use crate::ops::topology::Topology;
 
 /// The slots of the losses buffer.
-const NAMES: [&str; 7] =
-    ["rgb", "rgb_soft", "silhouette", "keypoints", "normal_consistency", "face_area", "laplacian"];
+const NAMES: [&str; 7] = ["rgb", "rgb_soft", "silhouette", "keypoints", "normal_consistency", "face_area", "laplacian"];
 const RGB: usize = 0;
 const RGB_SOFT: usize = 1;
 const SILHOUETTE: usize = 2;
@@ -101,16 +100,15 @@ struct Terms {
 }
 
 impl Terms {
-    fn new(scene: &Scene, body: &Body, capture: &Capture, camera: &Camera) -> Self {
+    fn new(scene: &Scene, body: &Body, topology: &Topology, capture: &Capture, camera: &Camera) -> Self {
         let gpu = &scene.gpu;
-        let topology = Topology::new(body.n_vertices(), &body.faces);
         let n = scene.max_pixels;
         Self {
             rgb: RgbL1::new(gpu, n),
             iou: SilhouetteIou::new(gpu),
             soft: SoftTerm::new(scene),
             keypoints: KeypointTerm::new(gpu, body, capture, camera),
-            mesh: MeshLosses::new(gpu, body, &topology),
+            mesh: MeshLosses::new(gpu, body, topology),
             diffuse: Diffuse::new(gpu, &topology.neighbours.starts, &topology.neighbours.items),
             image: gpu.zeros("fit/image", n * 3),
             grad_image: gpu.zeros("fit/grad_image", n * 3),
@@ -129,6 +127,7 @@ impl Terms {
 pub(super) fn run(
     scene: &Scene,
     body: &Body,
+    topology: &Topology,
     capture: &Capture,
     camera: &Camera,
     config: &FitConfig,
@@ -137,7 +136,7 @@ pub(super) fn run(
     control: &mut dyn Control,
 ) -> Result<(), FitError> {
     let n_frames = scene.frames.len();
-    let terms = Terms::new(scene, body, capture, camera);
+    let terms = Terms::new(scene, body, topology, capture, camera);
     let mut groups = Groups::new(scene, state);
     let mut pace = Pace::new();
     let batches = n_frames.div_ceil(config.batch) as u32;
@@ -196,8 +195,7 @@ fn start_phase(scene: &Scene, body: &Body, groups: &mut Groups, phase: &Phase) -
     let mut recorder = scene.gpu.recorder("fit/start_phase");
     scene.skinning.shape_forward(&mut recorder, &groups.betas.values, &groups.offsets.values, &scene.shape);
     recorder.submit()?;
-    let (colours, _) =
-        mean_face_colours(scene, &body.faces, &groups.poses.values, &groups.transl.values, phase.level)?;
+    let (colours, _) = mean_face_colours(scene, &body.faces, &groups.poses.values, &groups.transl.values, phase.level)?;
     scene.gpu.write(&groups.face_colours.values, 0, &colours);
     Ok(())
 }
@@ -260,27 +258,34 @@ fn record_frame(
     let background = [0.0; 3];
 
     scene.clear_frame_gradients(recorder);
-    let viewport = scene.forward(recorder, level, groups.at(frame));
-    let n = viewport.pixels();
+    scene.forward(recorder, level, groups.at(frame));
+    let n = level.camera.n_pixels();
 
     let target = level.masked(background);
 
-    scene.hard.shade(recorder, &viewport, &groups.face_colours.values, background, &terms.image);
+    scene.hard.shade(recorder, &level.camera, &groups.face_colours.values, background, &terms.image);
     terms.rgb.forward(recorder, n, &terms.image, target, None, terms.slot(RGB));
     recorder.clear(&terms.grad_image);
     terms.rgb.backward(recorder, n, &terms.image, target, None, rgb_weight, &terms.grad_image);
-    scene.hard.shade_backward(recorder, &viewport, &scene.view, &terms.grad_image, &groups.face_colours.grads);
+    scene.hard.shade_backward(recorder, &level.camera, &scene.view, &terms.grad_image, &groups.face_colours.grads);
 
     let silhouette_weight = part * weights.silhouette;
 
     let params = soft_params(scene, phase, frame, background);
-    terms.soft.forward(recorder, &params, &viewport, scene, &groups.face_colours.values);
+    terms.soft.forward(recorder, &params, &level.camera, scene, &groups.face_colours.values);
     terms.rgb.forward(recorder, n, terms.soft.rgb(), target, None, terms.slot(RGB_SOFT));
     terms.soft.clear_gradients(recorder);
     terms.rgb.backward(recorder, n, terms.soft.rgb(), target, None, rgb_weight, &terms.soft.grad_rgb);
     terms.iou.forward(recorder, n, terms.soft.alpha(), target, terms.slot(SILHOUETTE));
     terms.iou.backward(recorder, n, target, silhouette_weight, &terms.soft.grad_alpha);
-    terms.soft.backward(recorder, &params, &viewport, scene, &groups.face_colours.values, &groups.face_colours.grads);
+    terms.soft.backward(
+        recorder,
+        &params,
+        &level.camera,
+        scene,
+        &groups.face_colours.values,
+        &groups.face_colours.grads,
+    );
 
     if let Some(keypoints) = &terms.keypoints {
         keypoints.record(recorder, scene, frame, part * weights.keypoints, terms.slot(KEYPOINTS));

@@ -64,14 +64,7 @@ impl KeypointTerm {
     }
 
     /// Records value and gradient of the posed frame; adds to the scene's `grad_vertices` and `grad_joints`.
-    pub fn record(
-        &self,
-        recorder: &mut Recorder<'_>,
-        scene: &Scene,
-        frame: usize,
-        weight: f32,
-        slot: LossSlot<'_>,
-    ) {
+    pub fn record(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: usize, weight: f32, slot: LossSlot<'_>) {
         let Self { points, view, screen, grad_points, grad_screen, .. } = self;
         self.gather.forward(recorder, &scene.posed.vertices, &scene.posed.joints, points);
         scene.project.forward(recorder, &self.camera, points, view, screen);

@@ -27,6 +27,7 @@ use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::gpu::{Gpu, GpuError};
 use crate::npz::NpzError;
+use crate::ops::Topology;
 use scene::Scene;
 
 /// Why a fit did not end.
@@ -59,9 +60,10 @@ pub fn run(
 ) -> Result<FitState, FitError> {
     let n_levels = config.geometry.iter().chain(&config.texture).map(|p| p.level + 1).max().unwrap_or(1);
     let frames = frames::upload(gpu, capture, camera, n_levels);
-    let scene = Scene::new(gpu, body, frames, camera, &state.transl);
+    let topology = Topology::new(body.n_vertices(), &body.faces);
+    let scene = Scene::new(gpu, body, &topology, frames, camera, &state.transl);
     if state.stage == Stage::Geometry {
-        geometry::run(&scene, body, capture, camera, config, &mut state, checkpoint, control)?;
+        geometry::run(&scene, body, &topology, capture, camera, config, &mut state, checkpoint, control)?;
         state.stage = Stage::Texture;
         state.step = 0;
         state.save(checkpoint)?;

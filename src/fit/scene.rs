@@ -6,11 +6,10 @@ use super::frames::{DeviceFrame, FrameLevel};
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::gpu::{Buffer, Gpu, Recorder};
-use crate::ops::Corners;
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
 use crate::ops::project::Project;
 use crate::ops::skinning::{PoseAt, PoseState, ShapeState, SkinningBody};
-use crate::ops::Viewport;
+use crate::ops::{Corners, Topology};
 
 /// Half the depth that a person with stretched arms may need around the pelvis, with room to move.
 const REACH_M: f64 = 1.5;
@@ -47,8 +46,15 @@ pub struct Scene {
 
 impl Scene {
     /// `transl [N, 3]` is where the person stands at the start.
-    pub fn new(gpu: &Arc<Gpu>, body: &Body, frames: Vec<DeviceFrame>, camera: &Camera, transl: &[f32]) -> Self {
-        let corners = Arc::new(Corners::new(gpu, &body.faces, body.n_vertices()));
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        body: &Body,
+        topology: &Topology,
+        frames: Vec<DeviceFrame>,
+        camera: &Camera,
+        transl: &[f32],
+    ) -> Self {
+        let corners = Arc::new(Corners::new(gpu, &body.faces, topology));
         let skinning = SkinningBody::new(gpu, body);
         let levels = frames.iter().flat_map(|f| &f.levels);
         let max_pixels = levels.map(|l| (l.width * l.height) as usize).max().unwrap_or(1);
@@ -74,12 +80,10 @@ impl Scene {
     }
 
     /// Records posing, projection and hard rasterisation of a frame.
-    pub fn forward(&self, recorder: &mut Recorder<'_>, level: &FrameLevel, at: PoseAt<'_>) -> Viewport {
+    pub fn forward(&self, recorder: &mut Recorder<'_>, level: &FrameLevel, at: PoseAt<'_>) {
         self.skinning.pose_forward(recorder, &self.shape, at, &self.posed);
         self.project.forward(recorder, &level.camera, &self.posed.vertices, &self.view, &self.screen);
-        let viewport = Viewport::of(&level.camera);
-        self.hard.forward(recorder, &viewport, &self.view);
-        viewport
+        self.hard.forward(recorder, &level.camera, &self.view);
     }
 
     /// Records the clearing of one frame's gradients.

@@ -2,9 +2,9 @@
 
 use super::config::Phase;
 use super::scene::Scene;
+use crate::camera::Camera;
 use crate::gpu::{Buffer, Recorder};
 use crate::ops::soft_rasterize::{SoftRasterizeParams, SoftRasterizer};
-use crate::ops::Viewport;
 
 /// Entries of all tile lists for a face: a body's small triangles touch few tiles of 8 × 8 pixels.
 const LIST_ENTRIES_PER_FACE: usize = 16;
@@ -44,11 +44,11 @@ impl SoftTerm {
         &self,
         recorder: &mut Recorder<'_>,
         params: &SoftRasterizeParams,
-        viewport: &Viewport,
+        camera: &Camera,
         scene: &Scene,
         face_colours: &Buffer<f32>,
     ) {
-        self.rasterizer.forward(recorder, params, viewport, &scene.view, face_colours);
+        self.rasterizer.forward(recorder, params, camera, &scene.view, face_colours);
     }
 
     /// Adds to the scene's `grad_view` and to `grad_face_colours`.
@@ -56,7 +56,7 @@ impl SoftTerm {
         &self,
         recorder: &mut Recorder<'_>,
         params: &SoftRasterizeParams,
-        viewport: &Viewport,
+        camera: &Camera,
         scene: &Scene,
         face_colours: &Buffer<f32>,
         grad_face_colours: &Buffer<f32>,
@@ -64,7 +64,7 @@ impl SoftTerm {
         self.rasterizer.backward(
             recorder,
             params,
-            viewport,
+            camera,
             face_colours,
             &self.grad_rgb,
             &self.grad_alpha,

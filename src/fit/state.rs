@@ -152,8 +152,5 @@ fn initial_texcoords(body: &Body) -> Vec<f32> {
     }
     let side = (0..3).map(|k| high[k] - low[k]).fold(0.0, f32::max).max(1e-6);
     let scale = 0.9 / side;
-    body.v_template
-        .iter()
-        .flat_map(|v| [0, 1, 2].map(|k| 0.5 + (v[k] - 0.5 * (low[k] + high[k])) * scale))
-        .collect()
+    body.v_template.iter().flat_map(|v| [0, 1, 2].map(|k| 0.5 + (v[k] - 0.5 * (low[k] + high[k])) * scale)).collect()
 }

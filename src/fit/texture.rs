@@ -12,8 +12,8 @@ use rand_pcg::Pcg32;
 use super::FitError;
 use super::config::{FitConfig, Phase};
 use super::control::{Control, Flow, Pace, StepReport};
-use super::groups::Group;
 use super::frames::FrameLevel;
+use super::groups::Group;
 use super::scene::Scene;
 use super::soft::{SoftTerm, soft_params};
 use super::state::{FitState, Stage};
@@ -238,8 +238,8 @@ fn record_frame(
     let pixels = level.n_foreground.max(1) as f32;
     let background = [0.0; 3];
     scene.clear_frame_gradients(recorder);
-    let viewport = scene.forward(recorder, level, at);
-    let n = viewport.pixels();
+    scene.forward(recorder, level, at);
+    let n = level.camera.n_pixels();
 
     let Terms { field, interpolate, image, grad_image, grad_rgb, grad_coords, grad_bary, .. } = terms;
     let hard = &scene.hard;
@@ -273,18 +273,18 @@ fn record_frame(
     }
     recorder.clear(grad_bary);
     interpolate.backward_bary(recorder, n, &hard.pix_to_face, faces, texcoords, grad_coords, grad_bary);
-    hard.backward(recorder, &viewport, &scene.view, grad_bary, None, &scene.grad_view);
+    hard.backward(recorder, &level.camera, &scene.view, grad_bary, None, &scene.grad_view);
 
     let params = soft_params(scene, phase, frame, background);
     let rgb_weight = part * config.weights.rgb / pixels;
-    terms.soft.forward(recorder, &params, &viewport, scene, &terms.face_colours);
+    terms.soft.forward(recorder, &params, &level.camera, scene, &terms.face_colours);
     terms.soft.clear_gradients(recorder);
     terms.rgb.forward(recorder, n, terms.soft.rgb(), target, None, terms.slot(RGB_SOFT));
     terms.rgb.backward(recorder, n, terms.soft.rgb(), target, None, rgb_weight, &terms.soft.grad_rgb);
     terms.iou.forward(recorder, n, terms.soft.alpha(), target, terms.slot(SILHOUETTE));
     let weight = part * config.weights.silhouette;
     terms.iou.backward(recorder, n, target, weight, &terms.soft.grad_alpha);
-    terms.soft.backward(recorder, &params, &viewport, scene, &terms.face_colours, &terms.grad_face_colours);
+    terms.soft.backward(recorder, &params, &level.camera, scene, &terms.face_colours, &terms.grad_face_colours);
     scene.backward(recorder, level, at, grad_at);
 }
 
