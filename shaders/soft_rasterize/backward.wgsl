@@ -72,7 +72,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             let state = pixels[2u * pixel + 1u];
             let e = exp(-abs(r.x));
             let inv = 1.0 / (1.0 + e);
-            let weight = exp(nearness(r.z) - state.x + min(r.x, 0.0)) * inv;
+            // No share is above one; but a face at the very cut may count here and not in the forward pass, by rounding,
+            // and would then have no bound where only the far background competes.
+            let weight = min(exp(min(nearness(r.z) - state.x + min(r.x, 0.0), 1.0)) * inv, 1.0);
             let gs = weight * (dot(g, own) - state.z);
             let gx = (gs * select(1.0, e, r.x > 0.0) + state.y * select(e, 1.0, r.x > 0.0)) * inv;
             g_colour += weight * g;

@@ -13,6 +13,8 @@ pub struct FrameLevel {
     pub camera: Camera,
     /// `[height, width]`, see [`pack_pixel`].
     pub target: Buffer<u32>,
+    /// `[height, width]`: 1 inside the mask, else 0.
+    pub inside: Buffer<f32>,
     /// Pixels inside the mask.
     pub n_foreground: usize,
 }
@@ -95,11 +97,13 @@ impl Packed {
             ..camera.clone()
         };
         let packed: Vec<u32> = self.rgbm.iter().map(|&[r, g, b, mask]| pack_pixel([r, g, b], mask)).collect();
+        let inside: Vec<f32> = self.rgbm.iter().map(|p| if p[3] >= 128 { 1.0 } else { 0.0 }).collect();
         FrameLevel {
             width: self.width as u32,
             height: self.height as u32,
             camera,
             target: gpu.upload(label, &packed),
+            inside: gpu.upload(label, &inside),
             n_foreground: self.rgbm.iter().filter(|p| p[3] >= 128).count(),
         }
     }

@@ -271,11 +271,14 @@ fn record_frame(
 
     let silhouette_weight = part * weights.silhouette;
 
+    // Near faces outweigh the background as far as the blur reaches, so outside the mask the soft colours would only pull
+    // the mesh inwards, against the silhouette.
+    let inside = Some(&level.inside);
     let params = soft_params(scene, phase, frame, background);
     terms.soft.forward(recorder, &params, &level.camera, scene, &groups.face_colours.values);
-    terms.rgb.forward(recorder, n, terms.soft.rgb(), target, None, terms.slot(RGB_SOFT));
+    terms.rgb.forward(recorder, n, terms.soft.rgb(), target, inside, terms.slot(RGB_SOFT));
     terms.soft.clear_gradients(recorder);
-    terms.rgb.backward(recorder, n, terms.soft.rgb(), target, None, rgb_weight, &terms.soft.grad_rgb);
+    terms.rgb.backward(recorder, n, terms.soft.rgb(), target, inside, rgb_weight, &terms.soft.grad_rgb);
     terms.iou.forward(recorder, n, terms.soft.alpha(), target, terms.slot(SILHOUETTE));
     terms.iou.backward(recorder, n, target, silhouette_weight, &terms.soft.grad_alpha);
     terms.soft.backward(

@@ -275,12 +275,15 @@ fn record_frame(
     interpolate.backward_bary(recorder, n, &hard.pix_to_face, faces, texcoords, grad_coords, grad_bary);
     hard.backward(recorder, &level.camera, &scene.view, grad_bary, None, &scene.grad_view);
 
+    // Near faces outweigh the background as far as the blur reaches, so outside the mask the soft colours would only pull
+    // the mesh inwards, against the silhouette.
+    let inside = Some(&level.inside);
     let params = soft_params(scene, phase, frame, background);
     let rgb_weight = part * config.weights.rgb / pixels;
     terms.soft.forward(recorder, &params, &level.camera, scene, &terms.face_colours);
     terms.soft.clear_gradients(recorder);
-    terms.rgb.forward(recorder, n, terms.soft.rgb(), target, None, terms.slot(RGB_SOFT));
-    terms.rgb.backward(recorder, n, terms.soft.rgb(), target, None, rgb_weight, &terms.soft.grad_rgb);
+    terms.rgb.forward(recorder, n, terms.soft.rgb(), target, inside, terms.slot(RGB_SOFT));
+    terms.rgb.backward(recorder, n, terms.soft.rgb(), target, inside, rgb_weight, &terms.soft.grad_rgb);
     terms.iou.forward(recorder, n, terms.soft.alpha(), target, terms.slot(SILHOUETTE));
     let weight = part * config.weights.silhouette;
     terms.iou.backward(recorder, n, target, weight, &terms.soft.grad_alpha);
