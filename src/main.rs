@@ -15,6 +15,8 @@ struct Args {
 enum Command {
     /// Import, check and describe body models.
     Body(cli::body::Args),
+    /// Fit an avatar to a clip.
+    Fit(cli::fit::Args),
     /// Render an avatar in given poses, or as a turntable.
     Render(cli::render::Args),
     /// Compare an avatar with a folder of truth.
@@ -34,6 +36,7 @@ enum Command {
 fn main() -> anyhow::Result<()> {
     match Args::parse().command {
         Command::Body(args) => cli::body::run(args),
+        Command::Fit(args) => cli::fit::run(args),
         Command::Render(args) => cli::render::run(args),
         Command::Eval(args) => cli::eval::run(args),
         Command::Synth(args) => cli::synth::run(args),

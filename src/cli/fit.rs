@@ -62,7 +62,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     observer.bar.finish_and_clear();
     std::fs::remove_dir_all(&work)?;
     for (kernel, time) in gpu.take_timings() {
-        eprintln!("{:8.2} s {:8} calls {:8.3} ms  {kernel}", time.secs, time.calls, 1e3 * time.secs / time.calls as f64);
+        eprintln!(
+            "{:8.2} s {:8} calls {:8.3} ms  {kernel}",
+            time.secs,
+            time.calls,
+            1e3 * time.secs / time.calls as f64
+        );
     }
     if args.json {
         println!("{}", serde_json::json!({ "out": args.out, "metrics": outcome.metrics }));

@@ -1,6 +1,7 @@
 pub mod bench;
 pub mod body;
 pub mod eval;
+pub mod fit;
 pub mod openapi;
 pub mod render;
 pub mod serve;

@@ -1,4 +1,7 @@
-//! A job from files to files: its types, and (below) its run.
+//! A job from files to files: decode, fit, bake, export. `effigy fit` runs the same pipeline without a server.
+
+mod export;
+mod run;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -8,6 +11,8 @@ use crate::camera::Camera;
 use crate::capture::{CaptureError, CaptureInputs};
 use crate::gpu::{Gpu, GpuError};
 use crate::jobs::JobOptions;
+
+pub use run::run;
 
 /// The files of a clip and what is asked of its fit.
 #[derive(Clone, Debug)]
@@ -116,22 +121,13 @@ pub enum PipelineError {
     Stopped(StopReason),
     #[error(transparent)]
     BadInput(#[from] CaptureError),
+    /// The clip is well formed, but no person could be fitted to it.
+    #[error("{0}")]
+    Unfit(String),
     #[error("the fit diverged: {detail}")]
     Diverged { detail: String, losses: BTreeMap<String, f64> },
     #[error(transparent)]
     Device(#[from] GpuError),
     #[error("{0:#}")]
     Internal(#[from] anyhow::Error),
-}
-
-/// Runs a job.
-pub fn run(
-    _gpu: &Arc<Gpu>,
-    _input: &PipelineInput,
-    _data_dir: &std::path::Path,
-    _work_dir: &std::path::Path,
-    _out_dir: &std::path::Path,
-    _observer: &mut dyn Observer,
-) -> Result<Outcome, PipelineError> {
-    Err(PipelineError::Internal(anyhow::anyhow!("not yet")))
 }

@@ -192,7 +192,7 @@ fn is_repeatable<T>(end: &Result<T, PipelineError>) -> bool {
     match end {
         Ok(_) | Err(PipelineError::Stopped(_) | PipelineError::Device(_) | PipelineError::Internal(_)) => true,
         Err(PipelineError::BadInput(error)) => error.bad_input().is_none(),
-        Err(PipelineError::Diverged { .. }) => false,
+        Err(PipelineError::Diverged { .. } | PipelineError::Unfit(_)) => false,
     }
 }
 
@@ -230,6 +230,7 @@ fn job_error(error: &PipelineError) -> JobError {
             let losses = losses.iter().filter(|(_, v)| v.is_finite()).map(|(k, v)| (k.clone(), *v)).collect();
             JobError { losses, ..JobError::new("diverged", error.to_string()) }
         }
+        PipelineError::Unfit(_) => JobError::new("unfit", error.to_string()),
         PipelineError::Device(_) => JobError::new("device", error.to_string()),
         _ => JobError::new("internal", error.to_string()),
     }

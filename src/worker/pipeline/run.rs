@@ -1,0 +1,211 @@
+//! The stages in order.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::anyhow;
+
+use super::{Observer, Outcome, PipelineError, PipelineInput, Progress, Stage, StopReason, export};
+use crate::body::Body;
+use crate::capture::{Capture, CaptureOptions};
+use crate::fit::stage0::{self, Stage0Error, Stage0Options, Stage0Result};
+use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
+use crate::gpu::Gpu;
+use crate::jobs::{JobOptions, Preset};
+
+/// The part of a job that each stage takes, roughly, for the progress of the whole.
+const SHARES: [(Stage, f32); 6] = [
+    (Stage::Decode, 0.02),
+    (Stage::Pose, 0.06),
+    (Stage::Geometry, 0.47),
+    (Stage::Texture, 0.35),
+    (Stage::Bake, 0.05),
+    (Stage::Export, 0.05),
+];
+
+/// Seconds that each stage took.
+pub(super) type StageSecs = BTreeMap<&'static str, f64>;
+
+/// Runs a job. `data_dir` holds `bodies/`; `work_dir` holds the checkpoint and survives restarts: after a
+/// stop a later run goes on from there; `out_dir` gets the results.
+pub fn run(
+    gpu: &Arc<Gpu>,
+    input: &PipelineInput,
+    data_dir: &Path,
+    work_dir: &Path,
+    out_dir: &Path,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, PipelineError> {
+    let mut monitor = Monitor::new(gpu, observer);
+    let config = config_of(&input.options);
+    monitor.start(Stage::Decode)?;
+    let body = load_body(data_dir, &input.options.body)?;
+    let capture = load_capture(input)?;
+    monitor.start(Stage::Pose)?;
+    let start = solve_poses(&body, &capture, &mut monitor)?;
+    let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
+    let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
+    let checkpoint = work_dir.join("checkpoint.npz");
+    // A checkpoint that cannot be read is worth no more than none.
+    let state = match checkpoint.exists() {
+        true => fresh.resume(&checkpoint).ok().flatten().unwrap_or(fresh),
+        false => fresh,
+    };
+    monitor.start(Stage::Geometry)?;
+    let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
+    let state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
+    let done = export::Fitted { body, capture, start, state, config };
+    export::export(gpu, &done, input, out_dir, &mut monitor)
+}
+
+/// Frames and pixels that a preset looks at.
+fn capture_options(options: &JobOptions) -> CaptureOptions {
+    let (max_frames, max_side_px) = match options.preset {
+        Preset::Draft => (40, 360),
+        Preset::Standard => (120, 720),
+        Preset::Paper => (120, 1080),
+    };
+    CaptureOptions {
+        max_frames: options.max_frames.unwrap_or(max_frames),
+        max_side_px: options.max_side_px.unwrap_or(max_side_px),
+    }
+}
+
+fn config_of(options: &JobOptions) -> FitConfig {
+    match options.preset {
+        Preset::Draft => FitConfig::draft(options.seed),
+        Preset::Standard => FitConfig::standard(options.seed),
+        Preset::Paper => FitConfig::paper(options.seed),
+    }
+}
+
+fn load_body(data_dir: &Path, name: &str) -> Result<Body, PipelineError> {
+    if name == "test" {
+        return Ok(Body::test_body());
+    }
+    let path = data_dir.join("bodies").join(format!("{name}.body.npz"));
+    Body::load(&path).map_err(|e| {
+        PipelineError::Internal(anyhow!("body {name:?}: {e}; `effigy body import` makes {}", path.display()))
+    })
+}
+
+fn load_capture(input: &PipelineInput) -> Result<Capture, PipelineError> {
+    Ok(Capture::load(&input.capture_inputs(), &capture_options(&input.options))?)
+}
+
+fn solve_poses(body: &Body, capture: &Capture, monitor: &mut Monitor<'_>) -> Result<Stage0Result, PipelineError> {
+    let solved = stage0::solve(body, capture, &Stage0Options::default(), &mut |done| {
+        monitor.tell(Stage::Pose, (done * 100.0) as u32, 100);
+        monitor.go_on()
+    });
+    solved.map_err(|error| match error {
+        Stage0Error::Stopped => PipelineError::Stopped(monitor.stopped.unwrap_or(StopReason::Shutdown)),
+        other => PipelineError::Unfit(other.to_string()),
+    })
+}
+
+fn from_fit(error: FitError, stopped: Option<StopReason>) -> PipelineError {
+    let detail = error.to_string();
+    match error {
+        FitError::Stopped => PipelineError::Stopped(stopped.unwrap_or(StopReason::Shutdown)),
+        FitError::Diverged { losses, .. } => {
+            let losses = losses.into_iter().map(|(name, value)| (name.to_owned(), value as f64)).collect();
+            PipelineError::Diverged { detail, losses }
+        }
+        FitError::Device(error) => PipelineError::Device(error),
+        other => PipelineError::Internal(other.into()),
+    }
+}
+
+/// Turns steps of stages into the progress of the whole, and asks whether to go on.
+pub(super) struct Monitor<'a> {
+    gpu: &'a Arc<Gpu>,
+    observer: &'a mut dyn Observer,
+    pub(super) stopped: Option<StopReason>,
+    pub(super) secs: StageSecs,
+    pub(super) curves: Vec<(Stage, u32, BTreeMap<String, f64>)>,
+    stage: Stage,
+    stage_started: Instant,
+    /// The first step of the stage in this run: a resumed one does not begin at zero.
+    first_step: Option<u32>,
+    losses: BTreeMap<String, f64>,
+}
+
+impl<'a> Monitor<'a> {
+    fn new(gpu: &'a Arc<Gpu>, observer: &'a mut dyn Observer) -> Self {
+        Self {
+            gpu,
+            observer,
+            stopped: None,
+            secs: BTreeMap::new(),
+            curves: Vec::new(),
+            stage: Stage::Decode,
+            stage_started: Instant::now(),
+            first_step: None,
+            losses: BTreeMap::new(),
+        }
+    }
+
+    /// Ends the current stage and starts the next; an error where somebody wants to stop.
+    pub(super) fn start(&mut self, stage: Stage) -> Result<(), PipelineError> {
+        self.enter(stage);
+        match self.go_on() {
+            true => Ok(()),
+            false => Err(PipelineError::Stopped(self.stopped.unwrap_or(StopReason::Shutdown))),
+        }
+    }
+
+    pub(super) fn end(&mut self) {
+        *self.secs.entry(self.stage.name()).or_default() += self.stage_started.elapsed().as_secs_f64();
+        self.stage_started = Instant::now();
+    }
+
+    fn enter(&mut self, stage: Stage) {
+        self.end();
+        self.stage = stage;
+        self.first_step = None;
+        self.tell(stage, 0, 1);
+    }
+
+    fn go_on(&mut self) -> bool {
+        self.observer.idle(self.gpu);
+        self.stopped = self.stopped.or_else(|| self.observer.stop());
+        self.stopped.is_none()
+    }
+
+    pub(super) fn tell(&mut self, stage: Stage, step: u32, steps: u32) {
+        let before: f32 = SHARES.iter().take_while(|(s, _)| *s != stage).map(|(_, share)| share).sum();
+        let share = SHARES.iter().find(|(s, _)| *s == stage).map_or(0.0, |(_, share)| *share);
+        let done = step as f32 / steps.max(1) as f32;
+        let progress = (before + share * done).min(1.0);
+        let first = *self.first_step.get_or_insert(step);
+        let elapsed = self.stage_started.elapsed().as_secs_f64();
+        // The rest of this stage at its pace so far, and the later stages by their shares.
+        let eta_secs = (step > first && elapsed > 1.0).then(|| {
+            let whole = elapsed / ((step - first) as f64 / steps.max(1) as f64);
+            whole * (1.0 - done as f64) + whole / share as f64 * (1.0 - before - share).max(0.0) as f64
+        });
+        let losses = self.losses.clone();
+        self.observer.progress(&Progress { stage, step, steps, progress, eta_secs, losses });
+    }
+}
+
+impl Control for Monitor<'_> {
+    fn after_step(&mut self, report: &StepReport<'_>) -> Flow {
+        let stage = match report.stage {
+            fit::Stage::Geometry => Stage::Geometry,
+            _ => Stage::Texture,
+        };
+        if stage != self.stage {
+            self.enter(stage);
+        }
+        if let Some(losses) = report.losses {
+            self.losses = losses.iter().map(|(name, value)| ((*name).to_owned(), *value as f64)).collect();
+            self.curves.push((stage, report.step, self.losses.clone()));
+        }
+        self.tell(stage, report.step, report.steps);
+        if self.go_on() { Flow::Continue } else { Flow::Stop }
+    }
+}
