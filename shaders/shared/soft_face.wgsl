@@ -107,7 +107,7 @@ fn soft_rest(x: f32) -> f32 {
     return select(log(1.0 + e), e - 0.5 * e * e, e < 1e-3);
 }
 
-// z^/gamma
+// (z^ - 1)/gamma: all scores count from the near plane, where small differences keep their digits.
 fn nearness(z: f32) -> f32 {
-    return (params.far - z) / ((params.far - params.near) * params.gamma);
+    return (params.near - z) / ((params.far - params.near) * params.gamma);
 }

@@ -1,6 +1,6 @@
 // Backward pass 2, one face an invocation: the gradient of its corners [F, 3, 3] and of its colour, over its box.
 //
-// With the score s = ln D + z^/gamma, weight w = exp(s)/W, D = sigmoid(x), x = +-d^2/sigma:
+// With the score s = ln D + (z^ - 1)/gamma, weight w = exp(s)/W, D = sigmoid(x), x = +-d^2/sigma:
 //   dL/ds = w (g.C - g.rgb),  dL/dx = dL/ds (1 - D) + T dL/dalpha D,  dL/dC = w g.
 // d^2 = |delta|^2 with the nearest boundary point sum foot_k p_k:  dd^2/dp_k = -2 foot_k delta (the foot is optimal).
 // z = 1/S with S = sum c_k (1/z_k) / sum c_k, c = clamp(w): passes where 0 < w < 1; w_k = q_i x q_j / area as in

@@ -23,7 +23,9 @@ struct Share {
 @group(0) @binding(6) var<storage, read_write> alpha: array<f32>;
 @group(0) @binding(7) var<storage, read_write> state: array<vec2<f32>>;
 
-var<workgroup> shares: array<Share, TILE_PIXELS * LANES>;
+// (most, weight, log_t, red) and (green, blue) of each pixel and invocation.
+var<workgroup> shares: array<vec4<f32>, TILE_PIXELS * LANES>;
+var<workgroup> shares_gb: array<vec2<f32>, TILE_PIXELS * LANES>;
 
 fn add(share: Share, face: SoftFace, own: vec3<f32>, p: vec2<f32>) -> Share {
     let r = fragment_at(face, p);
@@ -86,7 +88,9 @@ fn main(
     let sharers = min(end - start, LANES);
     if sharers > 0u {
         for (var i = 0u; i < TILE_PIXELS; i++) {
-            shares[i * LANES + lane] = own_shares[i];
+            let s = own_shares[i];
+            shares[i * LANES + lane] = vec4<f32>(s.most, s.weight, s.log_t, s.colour.x);
+            shares_gb[i * LANES + lane] = s.colour.yz;
         }
     }
     workgroupBarrier();
@@ -94,9 +98,10 @@ fn main(
         let x = x0 + i % TILE;
         let y = y0 + i / TILE;
         if x < params.width && y < params.height {
-            var s = Share(params.eps / params.gamma, 1.0, 0.0, vec3<f32>(params.red, params.green, params.blue));
+            var s = Share((params.eps - 1.0) / params.gamma, 1.0, 0.0, vec3<f32>(params.red, params.green, params.blue));
             for (var j = 0u; j < sharers; j++) {
-                s = merge(s, shares[i * LANES + j]);
+                let a = shares[i * LANES + j];
+                s = merge(s, Share(a.x, a.y, a.z, vec3<f32>(a.w, shares_gb[i * LANES + j])));
             }
             let pixel = y * params.width + x;
             rgb[3u * pixel] = s.colour.x / s.weight;

@@ -127,7 +127,7 @@ fn gpu_matches_cpu_on_a_body_like_surface() {
         |r, hard, camera, view, rgb, grad_alpha, grad_view| {
             op.backward(r, hard, camera, view, rgb, grad_alpha, grad_view)
         },
-        |pixels| grad_screen(pixels),
+        grad_screen,
     );
 }
 

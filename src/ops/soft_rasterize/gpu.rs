@@ -69,14 +69,14 @@ impl SoftRasterizer {
     pub fn new(gpu: &Gpu, corners: &Arc<Corners>, max_pixels: usize, list_capacity: usize) -> Self {
         let n_faces = corners.n_faces();
         let n_tiles = max_tiles(max_pixels);
-        let tile = ("TILE", format!("{TILE}u"));
+        let tile = [("TILE", format!("{TILE}u"))];
         // A subgroup's width there.
         let lanes = if gpu.info().software { "8u" } else { "32u" };
         Self {
-            setup: kernel!(gpu, "soft_rasterize/setup", &[tile.clone()]),
+            setup: kernel!(gpu, "soft_rasterize/setup", &tile),
             scan: kernel!(gpu, "soft_rasterize/scan"),
-            fill: kernel!(gpu, "soft_rasterize/fill", &[tile.clone()]),
-            forward: kernel!(gpu, "soft_rasterize/forward", &[tile, ("LANES", lanes.to_owned())]),
+            fill: kernel!(gpu, "soft_rasterize/fill", &tile),
+            forward: kernel!(gpu, "soft_rasterize/forward", &[tile[0].clone(), ("LANES", lanes.to_owned())]),
             pixels_pass: kernel!(gpu, "soft_rasterize/pixels"),
             backward: kernel!(gpu, "soft_rasterize/backward"),
             records: gpu.zeros("soft_rasterize/records", n_faces * 16),
