@@ -6,8 +6,9 @@ use crate::camera::Camera;
 use crate::gpu::{Buffer, Recorder};
 use crate::ops::soft_rasterize::{SoftRasterizeParams, SoftRasterizer};
 
-/// Entries of all tile lists for a face: a body's small triangles touch few tiles of 8 × 8 pixels.
-const LIST_ENTRIES_PER_FACE: usize = 16;
+/// Entries of all tile lists for a face: enough for a reach of 12 pixels around small triangles
+/// ([`SoftRasterizer::list_capacity`]). Tiles whose lists do not fit would be right, but hundreds of times slower.
+const LIST_ENTRIES_PER_FACE: usize = 64;
 
 /// The soft rasteriser with the gradients that its images receive.
 pub struct SoftTerm {
