@@ -112,3 +112,37 @@ fn absurd_options_are_refused() {
         assert!(synthesise(&gpu, &Body::test_body(), &options, folder.path(), |_, _| {}).is_err());
     }
 }
+
+#[test]
+fn keypoints_without_noise_are_the_projected_joints() {
+    let Some(gpu) = gpu("keypoints_without_noise_are_the_projected_joints") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let options = SynthOptions { keypoint_noise_px: 0.0, ..options() };
+    synthesise(&gpu, &Body::test_body(), &options, folder.path(), |_, _| {}).unwrap();
+    let json = |name: &str| -> serde_json::Value {
+        serde_json::from_slice(&std::fs::read(folder.path().join(name)).unwrap()).unwrap()
+    };
+    let (keypoints, joints, camera) = (json("keypoints.json"), json("truth/joints3d.json"), json("camera.json"));
+    let number = |value: &serde_json::Value| value.as_f64().unwrap();
+    let (mut seen, mut hidden) = (0, 0);
+    for t in 0..options.frames {
+        // COCO's elbows, wrists, knees and ankles, and SMPL's.
+        for (coco, smpl) in [(7, 18), (8, 19), (9, 20), (10, 21), (13, 4), (14, 5), (15, 7), (16, 8)] {
+            let (k, j) = (&keypoints["frames"][t][coco], &joints["frames"][t][smpl]);
+            match number(&k[2]) {
+                0.0 => assert_eq!((number(&k[0]), number(&k[1])), (0.0, 0.0)),
+                confidence => {
+                    seen += (confidence > 0.5) as u32;
+                    hidden += (confidence == 0.3) as u32;
+                    let project = |f: &str, c: &str, axis: usize| {
+                        number(&camera[f]) * number(&j[axis]) / number(&j[2]) + number(&camera[c])
+                    };
+                    assert!((number(&k[0]) - project("fx", "cx", 0)).abs() < 1e-3, "frame {t}, keypoint {coco}");
+                    assert!((number(&k[1]) - project("fy", "cy", 1)).abs() < 1e-3, "frame {t}, keypoint {coco}");
+                }
+            }
+        }
+    }
+    // From the side one arm or leg hides the other; from the front nothing does.
+    assert!(seen > hidden && hidden > 0, "{seen} seen, {hidden} hidden");
+}
