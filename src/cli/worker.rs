@@ -1,8 +1,9 @@
 //! `effigy worker`: claims and runs jobs of a data folder.
 
 use std::thread;
+use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use effigy::jobs::Env;
 use effigy::worker::{DeviceEngine, DeviceThread, Owner, Reaper, Worker, WorkerSettings, channel};
 use tokio::sync::watch;
@@ -21,6 +22,9 @@ pub struct Args {
 /// Added to the niceness of a server's child, so that answers come before fits.
 #[cfg(unix)]
 const NICENESS: libc::c_int = 10;
+
+/// How long a fit may take to write its checkpoint and stop.
+const GRACE: Duration = Duration::from_secs(60);
 
 pub fn run(args: Args) -> Result<()> {
     if args.renders_on_stdio {
@@ -55,9 +59,20 @@ async fn work(args: Args) -> Result<()> {
     });
     let owner = Owner::new(&store.workers(), env.new_id())?;
     let settings = WorkerSettings::default();
-    Worker { queue: queue.clone(), store, device, owner, settings }.run(stopped).await;
+    let overdue = overdue(stopped.clone());
+    tokio::select! {
+        () = Worker { queue: queue.clone(), store, device, owner, settings }.run(stopped) => {}
+        () = overdue => bail!("the fit did not stop in time; its job goes on elsewhere from the last checkpoint"),
+    }
     queue.close().await;
     Ok(())
+}
+
+/// Comes some time after the wish to end. A fit that hangs would otherwise keep its lease and the device for ever.
+async fn overdue(mut stopped: watch::Receiver<bool>) {
+    if stopped.wait_for(|stopped| *stopped).await.is_ok() {
+        tokio::time::sleep(GRACE).await;
+    }
 }
 
 fn lower_priority() {

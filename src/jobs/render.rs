@@ -20,7 +20,7 @@ pub struct RenderRequest {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum What {
-    Image(ImageRequest),
+    Image(Box<ImageRequest>),
     /// The posed mesh of a fitted frame as PLY.
     Mesh {
         frame: u32,

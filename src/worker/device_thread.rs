@@ -21,7 +21,7 @@ type Answer = Box<dyn FnOnce(Result<(), RenderError>) + Send>;
 
 enum Task {
     Fit { task: Box<FitTask>, control: Arc<Control>, done: oneshot::Sender<Result<Outcome, PipelineError>> },
-    Draw(Drawing),
+    Draw(Box<Drawing>),
 }
 
 struct Drawing {
@@ -91,7 +91,7 @@ impl DeviceThread {
         answer: impl FnOnce(Result<(), RenderError>) + Send + 'static,
     ) {
         let answer: Answer = Box::new(answer);
-        if let Err(error) = self.tasks.send(Task::Draw(Drawing { request, to, answer }))
+        if let Err(error) = self.tasks.send(Task::Draw(Box::new(Drawing { request, to, answer })))
             && let Task::Draw(drawing) = error.0
         {
             (drawing.answer)(Err(RenderError::Unavailable("the device's thread has ended".into())));
@@ -109,7 +109,7 @@ fn serve(mut engine: impl Engine, inbox: &Receiver<Task>) {
                 // Nobody may be waiting any more; the end is the same.
                 let _ = done.send(run.unwrap_or_else(|panic| Err(panicked(panic.as_ref()))));
             }
-            Task::Draw(drawing) => answer_with(drawing, |request, to| engine.draw(request, to)),
+            Task::Draw(drawing) => answer_with(*drawing, |request, to| engine.draw(request, to)),
         }
     }
 }
@@ -160,7 +160,7 @@ impl Observer for FitObserver<'_> {
         while let Ok(task) = self.inbox.try_recv() {
             match task {
                 Task::Draw(drawing) => {
-                    answer_with(drawing, |request, to| self.draughtsman.draw(gpu, request, to));
+                    answer_with(*drawing, |request, to| self.draughtsman.draw(gpu, request, to));
                 }
                 // The claim loop gives one job at a time.
                 Task::Fit { done, .. } => {

@@ -61,7 +61,9 @@ impl Draughtsman {
         if self.kept.len() >= KEPT {
             self.kept.remove(0);
         }
-        Ok(self.kept.push_mut(kept))
+        self.kept.push(kept);
+        let last = self.kept.len() - 1;
+        Ok(&mut self.kept[last])
     }
 }
 

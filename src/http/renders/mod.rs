@@ -39,7 +39,7 @@ pub(super) async fn render(
 ) -> Result<Response, ApiError> {
     let avatar = find(&app, &id).await?;
     let image = body.check(&avatar)?;
-    let png = answer(&app, RenderRequest { model: model(&app, &avatar), what: What::Image(image) }).await?;
+    let png = answer(&app, RenderRequest { model: model(&app, &avatar), what: What::Image(Box::new(image)) }).await?;
     Ok(([(header::CONTENT_TYPE, "image/png")], png).into_response())
 }
 

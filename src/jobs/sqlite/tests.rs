@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::super::conformance::{Bench, new_job, suite};
-use super::super::{Env, ManualClock, Policy, Queue, Timestamp};
+use super::super::{Env, ListFilter, ManualClock, Policy, Queue, Timestamp};
 use super::SqliteQueue;
 
 async fn open() -> Bench {
@@ -71,4 +71,23 @@ async fn the_schema_refuses_states_without_their_times() {
         assert!(error.to_string().contains("CHECK constraint"), "{wrong}: {error}");
     }
     assert_eq!(bench.queue.get(job.id).await.unwrap().unwrap().version, 1);
+}
+
+#[tokio::test]
+async fn readers_never_wait_for_a_writer() {
+    use sqlx::Connection;
+    let bench = open().await;
+    let job = bench.queue.insert(new_job(&bench.env)).await.unwrap();
+    let folder = bench.keep.downcast_ref::<tempfile::TempDir>().unwrap();
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("effigy.db"));
+    let mut other = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+    let mut transaction = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    sqlx::query("UPDATE jobs SET priority = 5").execute(&mut *transaction).await.unwrap();
+    // Were any of these to wait, they would wait for ever.
+    assert_eq!(bench.queue.get(job.id).await.unwrap().unwrap().priority, 0);
+    assert_eq!(bench.queue.list(ListFilter { limit: 10, ..ListFilter::default() }).await.unwrap().len(), 1);
+    assert_eq!(bench.queue.events(job.id, 0, 10).await.unwrap().len(), 1);
+    assert!(bench.queue.avatar(job.id).await.unwrap().is_none());
+    bench.queue.counts().await.unwrap();
+    transaction.rollback().await.unwrap();
 }
