@@ -201,7 +201,8 @@ fn report(progress: &Progress) -> ProgressReport {
         stage: progress.stage.name().into(),
         step: progress.step,
         steps: progress.steps,
-        progress: f64::from(progress.progress),
+        // What an f32 knows, without the tail of digits that it has as an f64.
+        progress: (f64::from(progress.progress) * 1e4).round() / 1e4,
         eta_secs: progress.eta_secs,
         losses: progress.losses.clone(),
     }
