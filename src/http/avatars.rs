@@ -15,8 +15,8 @@ use super::extract::{ApiQuery, parse_id, unknown};
 use super::files::published;
 use super::renders::answer;
 use crate::camera::Camera;
-use crate::jobs::Avatar;
 use crate::jobs::render::{RenderRequest, What};
+use crate::jobs::{Avatar, Clip};
 
 /// The result of a job.
 #[derive(Serialize, utoipa::ToSchema)]
@@ -26,7 +26,9 @@ pub(super) struct AvatarView {
     pub job: Uuid,
     /// Name of the body model.
     pub body: String,
-    /// Fitted frames; `motion.npz` tells which frames of the video they are.
+    /// The video that was uploaded.
+    pub clip: Clip,
+    /// How many of the video's frames were fitted; `motion.npz` tells which.
     pub frames: u32,
     /// The capture's, of the images as they were fitted.
     #[schema(value_type = Object)]
@@ -55,6 +57,7 @@ pub(super) async fn get(State(app): State<App>, Path(id): Path<String>) -> Resul
     Ok(Json(AvatarView {
         id: avatar.id,
         job: avatar.id,
+        clip: avatar.clip,
         body: avatar.body,
         frames: avatar.frames,
         camera: avatar.camera,
@@ -69,7 +72,7 @@ pub(super) async fn get(State(app): State<App>, Path(id): Path<String>) -> Resul
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct MeshQuery {
-    /// A fitted frame, from 0; without it the T-pose.
+    /// A frame of the video, from 0, or the nearest that was fitted; without it the T-pose.
     frame: Option<u32>,
 }
 
@@ -84,7 +87,7 @@ pub(super) struct MeshQuery {
         (status = 206, description = "A range of the T-pose mesh", body = String,
             content_type = "application/octet-stream"),
         (status = 404, description = "No such avatar", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The avatar has no such frame", body = Problem,
+        (status = 422, description = "The video has no such frame", body = Problem,
             content_type = "application/problem+json"),
         (status = 503, description = "No worker is free; try again", body = Problem,
             content_type = "application/problem+json"),
@@ -115,14 +118,14 @@ pub(super) async fn find(app: &App, id: &str) -> Result<Avatar, ApiError> {
 }
 
 pub(super) fn check_frame(avatar: &Avatar, frame: u32) -> Result<(), ApiError> {
-    if frame < avatar.frames {
+    if frame < avatar.clip.frames {
         return Ok(());
     }
     Err(ApiError::Input {
-        detail: format!("there is no frame {frame}"),
+        detail: format!("the video has no frame {frame}"),
         part: "frame".into(),
         frame: Some(frame),
-        expected: format!("0 to {}", avatar.frames - 1),
+        expected: format!("0 to {}", avatar.clip.frames.saturating_sub(1)),
     })
 }
 

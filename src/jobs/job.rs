@@ -211,7 +211,10 @@ pub struct Avatar {
     pub id: Uuid,
     /// Which results folder of the job is the avatar's.
     pub epoch: i64,
+    /// What was uploaded.
+    pub clip: Clip,
     pub body: String,
+    /// How many of the clip's frames were fitted.
     pub frames: u32,
     pub camera: Camera,
     pub metrics: serde_json::Value,

@@ -21,7 +21,7 @@ pub struct RenderRequest {
 #[serde(rename_all = "snake_case")]
 pub enum What {
     Image(Box<ImageRequest>),
-    /// The posed mesh of a fitted frame as PLY.
+    /// The mesh as posed in a frame of the video (or the nearest that was fitted), as PLY.
     Mesh {
         frame: u32,
     },
@@ -40,7 +40,7 @@ pub struct ImageRequest {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PoseSource {
-    /// The fitted pose and place of the k-th fitted frame, from 0.
+    /// The fitted pose and place in a frame of the video, from 0, or in the nearest that was fitted.
     Frame(u32),
     /// `pose`: 72 numbers. Without a place: the first fitted frame's pelvis.
     Given { pose: Vec<f32>, place: Option<Place> },

@@ -35,6 +35,8 @@ struct Drawing {
 pub struct Control {
     stop: Mutex<Option<StopReason>>,
     progress: watch::Sender<Option<Progress>>,
+    /// The first progress of each stage, however short the stage was.
+    begun: Mutex<Vec<Progress>>,
     stage_secs: Mutex<BTreeMap<&'static str, f64>>,
 }
 
@@ -53,6 +55,11 @@ impl Control {
 
     pub fn progress(&self) -> watch::Receiver<Option<Progress>> {
         self.progress.subscribe()
+    }
+
+    /// The beginnings of stages since the last call.
+    pub fn take_begun(&self) -> Vec<Progress> {
+        std::mem::take(&mut *self.begun.lock().unwrap())
     }
 
     /// Seconds spent in stages since the last call.
@@ -148,6 +155,7 @@ impl Observer for FitObserver<'_> {
         if self.stage.is_none_or(|(current, _)| current != stage) {
             self.end_stage();
             self.stage = Some((stage, Instant::now()));
+            self.control.begun.lock().unwrap().push(progress.clone());
         }
         self.control.progress.send_replace(Some(progress.clone()));
     }

@@ -81,10 +81,9 @@ impl Kept {
 
     fn spec(&self, request: &ImageRequest) -> Result<RenderSpec, RenderError> {
         let model = self.renderer.model();
-        let frame = |k: usize| (k < model.poses.len()).then(|| RenderSpec::of_frame(model, k));
         let (pose, place) = match &request.pose {
-            PoseSource::Frame(k) => {
-                let spec = frame(*k as usize).ok_or_else(|| RenderError::Refused(format!("there is no frame {k}")))?;
+            PoseSource::Frame(frame) => {
+                let spec = RenderSpec::of_frame(model, model.nearest_frame(*frame));
                 (spec.pose, spec.place)
             }
             PoseSource::Given { pose, place } => {
@@ -120,8 +119,9 @@ impl Kept {
     }
 
     fn mesh(&mut self, gpu: &Arc<Gpu>, frame: u32) -> Result<Vec<u8>, RenderError> {
-        let mesh = self.renderer.model().mesh(Some(frame as usize));
-        let mut mesh = mesh.ok_or_else(|| RenderError::Refused(format!("there is no frame {frame}")))?;
+        let model = self.renderer.model();
+        let mesh = model.mesh(Some(model.nearest_frame(frame)));
+        let mut mesh = mesh.ok_or_else(|| RenderError::Failed("the model has no frames".into()))?;
         if self.colours.is_none() {
             self.colours = Some(self.renderer.texture().vertex_colours(gpu).map_err(failed)?);
         }

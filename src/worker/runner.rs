@@ -41,6 +41,7 @@ impl Runner {
         let end = match self.task(lease, job).await {
             Ok(task) => {
                 let end = self.accompany(lease, task, &control).await;
+                self.pass_begun(lease, &control).await;
                 self.pass_stage_secs(lease, &control).await;
                 end
             }
@@ -92,6 +93,7 @@ impl Runner {
             if *shutdown.borrow_and_update() {
                 control.stop(StopReason::Shutdown);
             }
+            self.pass_begun(lease, control).await;
             let news = if reported.elapsed() >= REPORT && progress.has_changed().unwrap_or(false) {
                 progress.borrow_and_update().clone()
             } else {
@@ -114,6 +116,15 @@ impl Runner {
                 Ok(Standing::Lost) => control.stop(StopReason::LostLease),
                 // The fit goes on: the epoch guards the end should the lease run out meanwhile.
                 Err(error) => tracing::warn!(job = %lease.job, %error, "the queue cannot be reached"),
+            }
+        }
+    }
+
+    /// Short stages would else go unseen between two reports.
+    async fn pass_begun(&self, lease: &Lease, control: &Control) {
+        for begun in control.take_begun() {
+            if let Err(error) = self.queue.report(lease, &report(&begun)).await {
+                tracing::warn!(job = %lease.job, %error, "the beginning of a stage goes untold");
             }
         }
     }

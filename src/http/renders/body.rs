@@ -25,11 +25,11 @@ pub(in crate::http) struct RenderBody {
     /// 72 numbers: axis-angle of the 24 joints in SMPL's order; joint 0 is the global orientation.
     #[schema(min_items = 72, max_items = 72)]
     pub pose: Option<Vec<f64>>,
-    /// A fitted frame, from 0: its pose and place.
+    /// A frame of the video, from 0: the pose and place that were fitted to it, or to the nearest that was fitted.
     pub frame: Option<u32>,
     /// With `pose`: metres, added after skinning.
     pub translation: Option<[f64; 3]>,
-    /// With `pose`: where the pelvis is, metres; wins over `translation`. With neither, as in the first fitted frame.
+    /// With `pose`: where the pelvis is, metres; wins over `translation`. With neither, as in the first frame.
     pub pelvis: Option<[f64; 3]>,
     /// Another shape than the fitted one.
     pub betas: Option<Vec<f64>>,

@@ -4,15 +4,16 @@ use super::body::RenderBody;
 use crate::camera::Camera;
 use crate::http::error::ApiError;
 use crate::jobs::render::{Background, ImageRequest, Light, Place, PoseSource};
-use crate::jobs::{Avatar, Timestamp};
+use crate::jobs::{Avatar, Clip, Timestamp};
 
 fn avatar() -> Avatar {
     let camera = json!({ "width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 32.0, "cy": 24.0 });
     Avatar {
         id: uuid::Uuid::nil(),
         epoch: 1,
+        clip: Clip { frames: 5, width: 64, height: 48, fps: 30.0 },
         body: "test".into(),
-        frames: 5,
+        frames: 2,
         camera: serde_json::from_value::<Camera>(camera).unwrap(),
         metrics: Value::Null,
         created_at: Timestamp(0),

@@ -144,7 +144,7 @@ impl SqliteQueue {
     pub(super) async fn get_avatar(&self, id: Uuid) -> Result<Option<Avatar>, QueueError> {
         // One transaction, so that the files belong to the row.
         let mut tx = self.readers.begin().await?;
-        let sql = "SELECT a.*, j.expires_at FROM avatars a JOIN jobs j ON j.id = a.id WHERE a.id = ?";
+        let sql = "SELECT a.*, j.clip, j.expires_at FROM avatars a JOIN jobs j ON j.id = a.id WHERE a.id = ?";
         let Some(row) = sqlx::query(sql).bind(id.to_string()).fetch_optional(&mut *tx).await? else {
             return Ok(None);
         };
@@ -159,6 +159,7 @@ impl SqliteQueue {
         Ok(Some(Avatar {
             id,
             epoch: row.try_get("epoch")?,
+            clip: rows::json_column(&row, "clip")?,
             body: row.try_get("body")?,
             frames: row.try_get("frames")?,
             camera: rows::json_column(&row, "camera")?,

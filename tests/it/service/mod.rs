@@ -6,6 +6,7 @@ mod jobs;
 mod openapi;
 mod process;
 mod renders;
+mod resume;
 mod uploads;
 
 use std::collections::BTreeMap;

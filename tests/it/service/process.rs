@@ -34,6 +34,16 @@ impl Serve {
         self.child.wait().unwrap()
     }
 
+    /// Kills the worker without warning.
+    pub fn kill_worker(&self) {
+        let pid = self.child.id();
+        let threads = std::fs::read_dir(format!("/proc/{pid}/task")).unwrap();
+        let children = threads.filter_map(|t| std::fs::read_to_string(t.unwrap().path().join("children")).ok());
+        let worker = children.collect::<String>().split_whitespace().next().unwrap().parse().unwrap();
+        // SAFETY: a signal to a child of our child, which has not been waited for.
+        unsafe { libc::kill(worker, libc::SIGKILL) };
+    }
+
     /// The most memory that the process has had, in bytes.
     fn peak_bytes(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();

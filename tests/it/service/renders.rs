@@ -8,7 +8,7 @@ use effigy::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
 use super::process::Serve;
 use super::*;
 
-/// The test body in two frames, with a random texture.
+/// The test body in frames 0 and 3 of a video of six, with a random texture.
 fn model() -> AvatarModel {
     let body = Body::test_body();
     let texture_config =
@@ -24,7 +24,7 @@ fn model() -> AvatarModel {
         face_colours: vec![[0.5; 3]; body.n_faces()],
         poses: vec![upright; 2],
         transl: vec![[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]],
-        frames: vec![0, 1],
+        frames: vec![0, 3],
         fps: 30.0,
         camera: Camera::pinhole(64, 64, [90.0, 90.0, 32.0, 32.0]),
         body,
@@ -37,7 +37,7 @@ async fn publish(data: &std::path::Path) -> String {
     let env = Env::system();
     let queue = SqliteQueue::open(&store.database(), env.clone(), Policy::default()).await.unwrap();
     let id = env.new_id();
-    let clip = Clip { frames: 2, width: 64, height: 64, fps: 30.0 };
+    let clip = Clip { frames: 6, width: 64, height: 64, fps: 30.0 };
     let new = NewJob { id, options: JobOptions::default(), inputs: BTreeMap::new(), clip };
     queue.insert(new).await.unwrap();
     let (lease, _) = queue.claim("tests").await.unwrap().unwrap();
@@ -79,7 +79,7 @@ async fn a_worker_process_draws_pictures_and_meshes() {
 
     let first = draw(&url, &json!({ "frame": 0 })).await;
     assert_eq!(first.dimensions(), (64, 64), "the capture's size");
-    let moved = middle(&draw(&url, &json!({ "frame": 1 })).await) - middle(&first);
+    let moved = middle(&draw(&url, &json!({ "frame": 4 })).await) - middle(&first);
     // 90 px of focal length, half a metre aside at 3 m.
     assert!((moved - 15.0).abs() < 1.0, "{moved}");
 
@@ -91,10 +91,13 @@ async fn a_worker_process_draws_pictures_and_meshes() {
     assert_eq!((picture.dimensions(), picture.get_pixel(0, 0).0), ((40, 50), [255, 0, 0, 255]));
     assert_ne!(picture.get_pixel(20, 25).0, [255, 0, 0, 255]);
 
-    let mesh = reqwest::get(format!("{url}/mesh.ply?frame=1")).await.unwrap().bytes().await.unwrap();
+    let mesh = reqwest::get(format!("{url}/mesh.ply?frame=2")).await.unwrap().bytes().await.unwrap();
     let mesh = ply::read(&mesh[..]).unwrap();
     assert_eq!((mesh.vertices.len(), mesh.colours.len()), (model().body.n_vertices(), mesh.vertices.len()));
-    assert!(mesh.vertices.iter().all(|v| v[2] > 1.0), "in world space");
+    let centre = mesh.vertices.iter().map(|v| f64::from(v[0])).sum::<f64>() / mesh.vertices.len() as f64;
+    assert!((centre - 0.5).abs() < 0.1, "in world space, as in the nearest fitted frame: {centre}");
+    let beyond = reqwest::get(format!("{url}/mesh.ply?frame=6")).await.unwrap();
+    assert_eq!(beyond.status(), 422);
 
     let too_long = json!({ "frame": 0, "betas": vec![0.0; 200] });
     let refused = reqwest::Client::new().post(format!("{url}/renders")).json(&too_long).send().await.unwrap();
