@@ -1,5 +1,7 @@
 //! Baking: every texel of a face gets the colour of the surface point under its centre.
 
+use std::collections::BTreeMap;
+
 use glam::Vec2;
 use image::{Rgb, RgbImage};
 
@@ -9,6 +11,12 @@ use crate::avatar::SurfacePoint;
 
 /// Texels grown round each chart before the rest is filled smoothly.
 const GUTTER: usize = 12;
+
+/// Texels outside a chart that still continue its surface: all that bilinear filtering can reach.
+const BORDER: f32 = 1.5;
+
+/// Barycentric coordinates of a continued face stay above this; narrower faces are not continued so far.
+const MIN_BARY: f32 = -0.5;
 
 /// Texels evaluated at once.
 const CHUNK: usize = 1 << 18;
@@ -33,16 +41,22 @@ pub fn bake<E: std::error::Error>(
         return Err(BakeError::Size(size));
     }
     let mut canvas = Canvas::new(size as usize);
-    let (mut places, mut texels) = (Vec::new(), Vec::new());
+    let (mut places, mut points) = (Vec::new(), Vec::new());
     for face in 0..layout.uv_faces.len() {
-        cover(layout, face, &mut canvas, &mut places, &mut texels);
-        if texels.len() >= CHUNK || face + 1 == layout.uv_faces.len() {
-            let colours = colour(&texels).map_err(BakeError::Colour)?;
+        cover(layout, face, &mut canvas, &mut places, &mut points);
+        if points.len() >= CHUNK || face + 1 == layout.uv_faces.len() {
+            let colours = colour(&points).map_err(BakeError::Colour)?;
             for (place, rgb) in places.drain(..).zip(colours) {
-                canvas.rgb[place] = rgb.map(|x| 255.0 * x.clamp(0.0, 1.0));
+                canvas.set(place, rgb);
             }
-            texels.clear();
+            points.clear();
         }
+    }
+    let border = border(layout, &canvas);
+    let points: Vec<SurfacePoint> = border.values().map(|(_, point)| *point).collect();
+    let colours = colour(&points).map_err(BakeError::Colour)?;
+    for (&place, rgb) in border.keys().zip(colours) {
+        canvas.set(place, rgb);
     }
     canvas.dilate(GUTTER);
     canvas.push_pull();
@@ -51,26 +65,78 @@ pub fn bake<E: std::error::Error>(
 }
 
 /// Adds the texels whose centres lie in the face and are still free, and marks them.
-fn cover(layout: &UvLayout, face: usize, canvas: &mut Canvas, places: &mut Vec<usize>, texels: &mut Vec<SurfacePoint>) {
-    let size = canvas.size as f32;
-    let [a, b, c] = layout.uv_faces[face].map(|i| Vec2::from(layout.uvs[i as usize]) * size);
-    let area = (b - a).perp_dot(c - a);
-    if area == 0.0 {
-        return;
-    }
-    let low = (a.min(b).min(c) - 0.5).ceil().max(Vec2::ZERO);
-    let high = (a.max(b).max(c) - 0.5).floor().min(Vec2::splat(size - 1.0));
-    for y in low.y as usize..(high.y + 1.0).max(0.0) as usize {
-        for x in low.x as usize..(high.x + 1.0).max(0.0) as usize {
-            let p = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
-            let bary = [(b - p).perp_dot(c - p) / area, (c - p).perp_dot(a - p) / area, (a - p).perp_dot(b - p) / area];
-            let place = y * canvas.size + x;
-            if bary.iter().all(|w| *w >= 0.0) && !canvas.known[place] {
-                canvas.known[place] = true;
-                places.push(place);
-                texels.push(SurfacePoint { face: face as u32, bary });
-            }
+fn cover(layout: &UvLayout, face: usize, canvas: &mut Canvas, places: &mut Vec<usize>, points: &mut Vec<SurfacePoint>) {
+    let Some(face_on) = FaceOnTexture::new(layout, face, canvas.size) else { return };
+    for (place, p) in face_on.texels(0.0) {
+        let bary = face_on.bary(p);
+        if bary.iter().all(|w| *w >= 0.0) && !canvas.known[place] {
+            canvas.known[place] = true;
+            places.push(place);
+            points.push(SurfacePoint { face: face as u32, bary });
         }
+    }
+}
+
+/// The free texels next to charts: for each the distance to the nearest face and that face's surface continued to it, so
+/// that filtering at a seam mixes colours of one surface from both sides.
+fn border(layout: &UvLayout, canvas: &Canvas) -> BTreeMap<usize, (f32, SurfacePoint)> {
+    let mut border: BTreeMap<usize, (f32, SurfacePoint)> = BTreeMap::new();
+    for face in 0..layout.uv_faces.len() {
+        let Some(face_on) = FaceOnTexture::new(layout, face, canvas.size) else { continue };
+        for (place, p) in face_on.texels(BORDER).filter(|(place, _)| !canvas.known[*place]) {
+            let distance = face_on.distance(p);
+            if distance > BORDER || border.get(&place).is_some_and(|(known, _)| *known <= distance) {
+                continue;
+            }
+            let bary = face_on.bary(p).map(|w| w.max(MIN_BARY));
+            let sum: f32 = bary.iter().sum();
+            border.insert(place, (distance, SurfacePoint { face: face as u32, bary: bary.map(|w| w / sum) }));
+        }
+    }
+    border
+}
+
+/// A face in texels.
+struct FaceOnTexture {
+    corners: [Vec2; 3],
+    /// Twice the area, signed
+    area: f32,
+    size: usize,
+}
+
+impl FaceOnTexture {
+    /// `None` for a face without area.
+    fn new(layout: &UvLayout, face: usize, size: usize) -> Option<Self> {
+        let corners = layout.uv_faces[face].map(|i| Vec2::from(layout.uvs[i as usize]) * size as f32);
+        let [a, b, c] = corners;
+        let area = (b - a).perp_dot(c - a);
+        (area != 0.0).then_some(Self { corners, area, size })
+    }
+
+    /// Index and centre of the texels in the face's box, grown by `margin`.
+    fn texels(&self, margin: f32) -> impl Iterator<Item = (usize, Vec2)> + use<> {
+        let ([a, b, c], size) = (self.corners, self.size);
+        let low = (a.min(b).min(c) - 0.5 - margin).ceil().max(Vec2::ZERO);
+        let high = (a.max(b).max(c) - 0.5 + margin).floor().min(Vec2::splat(size as f32 - 1.0));
+        let range = |low: f32, high: f32| low as usize..(high + 1.0).max(0.0) as usize;
+        range(low.y, high.y).flat_map(move |y| {
+            range(low.x, high.x).map(move |x| (y * size + x, Vec2::new(x as f32 + 0.5, y as f32 + 0.5)))
+        })
+    }
+
+    fn bary(&self, p: Vec2) -> [f32; 3] {
+        let [a, b, c] = self.corners.map(|corner| corner - p);
+        [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)].map(|w| w / self.area)
+    }
+
+    /// From `p` outside the face to its nearest edge.
+    fn distance(&self, p: Vec2) -> f32 {
+        let edge = |k: usize| {
+            let (a, b) = (self.corners[k], self.corners[(k + 1) % 3]);
+            let t = ((p - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);
+            p.distance(a + t * (b - a))
+        };
+        edge(0).min(edge(1)).min(edge(2))
     }
 }
 
@@ -128,7 +194,7 @@ mod tests {
                         let p =
                             0.5 * (body.v_template[face[i] as usize][axis] + body.v_template[face[j] as usize][axis]);
                         let want = 255.0 * (0.5 + 0.4 * p);
-                        assert!((x - want).abs() < 6.0, "edge of {face:?}: {x}, expected {want}");
+                        assert!((x - want).abs() < 1.5, "edge of {face:?}: {x}, expected {want}");
                     }
                 }
             }

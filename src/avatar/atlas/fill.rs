@@ -12,6 +12,12 @@ impl Canvas {
         Self { size, rgb: vec![[0.0; 3]; size * size], known: vec![false; size * size] }
     }
 
+    /// Makes a texel known; `rgb` in [0, 1].
+    pub fn set(&mut self, at: usize, rgb: [f32; 3]) {
+        self.rgb[at] = rgb.map(|x| 255.0 * x.clamp(0.0, 1.0));
+        self.known[at] = true;
+    }
+
     fn neighbours(&self, at: usize) -> impl Iterator<Item = usize> + use<> {
         let (size, x, y) = (self.size, at % self.size, at / self.size);
         let rows = y.saturating_sub(1)..=(y + 1).min(size - 1);
@@ -61,10 +67,22 @@ impl Canvas {
         coarse.push_pull();
         for at in 0..self.rgb.len() {
             if !self.known[at] {
-                self.rgb[at] = coarse.rgb[at / self.size / 2 * half + at % self.size / 2];
+                self.rgb[at] = coarse.between(at % self.size, at / self.size);
                 self.known[at] = true;
             }
         }
+    }
+
+    /// The bilinear colour of this picture at the texel (`x`, `y`) of one twice its size.
+    fn between(&self, x: usize, y: usize) -> [f32; 3] {
+        // A fine texel's centre lies a quarter of a coarse texel from its parent's, towards the even or the odd side.
+        let other = |i: usize| if i % 2 == 0 { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(self.size - 1) };
+        let at = |x: usize, y: usize| self.rgb[y * self.size + x];
+        let (near, far) = ([x / 2, y / 2], [other(x), other(y)]);
+        let corners = [at(near[0], near[1]), at(far[0], near[1]), at(near[0], far[1]), at(far[0], far[1])];
+        std::array::from_fn(|k| {
+            (9.0 * corners[0][k] + 3.0 * corners[1][k] + 3.0 * corners[2][k] + corners[3][k]) / 16.0
+        })
     }
 }
 
