@@ -76,7 +76,8 @@ impl Canvas {
     /// The bilinear colour of this picture at the texel (`x`, `y`) of one twice its size.
     fn between(&self, x: usize, y: usize) -> [f32; 3] {
         // A fine texel's centre lies a quarter of a coarse texel from its parent's, towards the even or the odd side.
-        let other = |i: usize| if i % 2 == 0 { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(self.size - 1) };
+        let other =
+            |i: usize| if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(self.size - 1) };
         let at = |x: usize, y: usize| self.rgb[y * self.size + x];
         let (near, far) = ([x / 2, y / 2], [other(x), other(y)]);
         let corners = [at(near[0], near[1]), at(far[0], near[1]), at(near[0], far[1]), at(far[0], far[1])];
