@@ -8,8 +8,8 @@ use crate::ops::texture_field::TextureFieldConfig;
 pub enum SilhouetteGradient {
     /// NMR's scanline sweeps over the hard silhouette (the paper's choice).
     Nmr,
-    /// The soft rasteriser's alpha.
-    Soft,
+    /// The derivative of what crosses the pixels' borders (Pidhorskyi et al. 2024).
+    Edge,
 }
 
 /// Weights λ of the losses. Image sums are divided by the frame's foreground pixels first, keypoints by their number
@@ -93,7 +93,7 @@ impl FitConfig {
         Self {
             seed,
             batch: 4,
-            silhouette_gradient: SilhouetteGradient::Soft,
+            silhouette_gradient: SilhouetteGradient::Edge,
             weights: Weights {
                 rgb: 1.0,
                 silhouette: 2.0,

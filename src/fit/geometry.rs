@@ -16,6 +16,7 @@ use super::groups::{Group, VertexGroup};
 use super::keypoint_term::KeypointTerm;
 use super::mesh_losses::{MeshLosses, MeshSlots};
 use super::scene::Scene;
+use super::silhouette::SilhouetteTerm;
 use super::soft::{SoftTerm, soft_params};
 use super::state::{FitState, Stage};
 use crate::body::Body;
@@ -26,8 +27,8 @@ use crate::ops::LossSlot;
 use crate::ops::Topology;
 use crate::ops::adam::AdamConfig;
 use crate::ops::diffuse::Diffuse;
+use crate::ops::edge_gradient::RgbGradient;
 use crate::ops::rgb_l1::RgbL1;
-use crate::ops::silhouette_iou::SilhouetteIou;
 use crate::ops::skinning::PoseAt;
 
 /// The slots of the losses buffer.
@@ -88,31 +89,36 @@ impl Groups {
 /// The operators of the stage with their scratch.
 struct Terms {
     rgb: RgbL1,
-    iou: SilhouetteIou,
+    silhouette: SilhouetteTerm,
     soft: SoftTerm,
     keypoints: Option<KeypointTerm>,
     mesh: MeshLosses,
     diffuse: Diffuse,
     image: Buffer<f32>,
     grad_image: Buffer<f32>,
-    grad_alpha: Buffer<f32>,
     losses: Buffer<f32>,
 }
 
 impl Terms {
-    fn new(scene: &Scene, body: &Body, topology: &Topology, capture: &Capture, camera: &Camera) -> Self {
+    fn new(
+        scene: &Scene,
+        body: &Body,
+        topology: &Topology,
+        capture: &Capture,
+        camera: &Camera,
+        config: &FitConfig,
+    ) -> Self {
         let gpu = &scene.gpu;
         let n = scene.max_pixels;
         Self {
             rgb: RgbL1::new(gpu, n),
-            iou: SilhouetteIou::new(gpu),
+            silhouette: SilhouetteTerm::new(scene, config.silhouette_gradient),
             soft: SoftTerm::new(scene),
             keypoints: KeypointTerm::new(gpu, body, capture, camera),
             mesh: MeshLosses::new(gpu, body, topology),
             diffuse: Diffuse::new(gpu, &topology.neighbours.starts, &topology.neighbours.items),
             image: gpu.zeros("fit/image", n * 3),
             grad_image: gpu.zeros("fit/grad_image", n * 3),
-            grad_alpha: gpu.zeros("fit/grad_alpha", n),
             losses: gpu.zeros("fit/losses", NAMES.len()),
         }
     }
@@ -136,7 +142,7 @@ pub(super) fn run(
     control: &mut dyn Control,
 ) -> Result<(), FitError> {
     let n_frames = scene.frames.len();
-    let terms = Terms::new(scene, body, topology, capture, camera);
+    let terms = Terms::new(scene, body, topology, capture, camera, config);
     let mut groups = Groups::new(scene, state);
     let mut pace = Pace::new();
     let batches = n_frames.div_ceil(config.batch) as u32;
@@ -269,7 +275,9 @@ fn record_frame(
     terms.rgb.backward(recorder, n, &terms.image, target, None, rgb_weight, &terms.grad_image);
     scene.hard.shade_backward(recorder, &level.camera, &scene.view, &terms.grad_image, &groups.face_colours.grads);
 
-    let silhouette_weight = part * weights.silhouette;
+    let rgb = RgbGradient { image: &terms.image, grad_image: &terms.grad_image };
+    let weight = part * weights.silhouette;
+    terms.silhouette.record(recorder, scene, level, target, weight, Some(rgb), terms.slot(SILHOUETTE));
 
     // Near faces outweigh the background as far as the blur reaches, so outside the mask the soft colours would only pull
     // the mesh inwards, against the silhouette.
@@ -279,8 +287,6 @@ fn record_frame(
     terms.rgb.forward(recorder, n, terms.soft.rgb(), target, inside, terms.slot(RGB_SOFT));
     terms.soft.clear_gradients(recorder);
     terms.rgb.backward(recorder, n, terms.soft.rgb(), target, inside, rgb_weight, &terms.soft.grad_rgb);
-    terms.iou.forward(recorder, n, terms.soft.alpha(), target, terms.slot(SILHOUETTE));
-    terms.iou.backward(recorder, n, target, silhouette_weight, &terms.soft.grad_alpha);
     terms.soft.backward(
         recorder,
         &params,

@@ -10,6 +10,7 @@ mod groups;
 mod keypoint_term;
 mod mesh_losses;
 mod scene;
+mod silhouette;
 mod soft;
 pub mod stage0;
 mod state;

@@ -15,6 +15,7 @@ use super::control::{Control, Flow, Pace, StepReport};
 use super::frames::FrameLevel;
 use super::groups::Group;
 use super::scene::Scene;
+use super::silhouette::SilhouetteTerm;
 use super::soft::{SoftTerm, soft_params};
 use super::state::{FitState, Stage};
 use crate::gpu::{Buffer, Recorder};
@@ -22,7 +23,6 @@ use crate::ops::LossSlot;
 use crate::ops::adam::{Adam, AdamConfig};
 use crate::ops::interpolate::{Interpolate, Sampling};
 use crate::ops::rgb_l1::RgbL1;
-use crate::ops::silhouette_iou::SilhouetteIou;
 use crate::ops::skinning::PoseAt;
 use crate::ops::texture_field::TextureField;
 
@@ -70,7 +70,7 @@ struct Terms {
     field: TextureField,
     interpolate: Interpolate,
     rgb: RgbL1,
-    iou: SilhouetteIou,
+    silhouette: SilhouetteTerm,
     soft: SoftTerm,
     /// Fixed in this stage.
     face_colours: Buffer<f32>,
@@ -111,7 +111,7 @@ impl Terms {
             field: TextureField::new(gpu, config.field, &state.field, n)?,
             interpolate: Interpolate::new(gpu, n, n),
             rgb: RgbL1::new(gpu, n),
-            iou: SilhouetteIou::new(gpu),
+            silhouette: SilhouetteTerm::new(scene, config.silhouette_gradient),
             soft: SoftTerm::new(scene),
             face_colours: gpu.upload("fit/face_colours", &state.face_colours),
             grad_face_colours: gpu.zeros("fit/grad_face_colours", state.face_colours.len()),
@@ -284,9 +284,8 @@ fn record_frame(
     terms.soft.clear_gradients(recorder);
     terms.rgb.forward(recorder, n, terms.soft.rgb(), target, inside, terms.slot(RGB_SOFT));
     terms.rgb.backward(recorder, n, terms.soft.rgb(), target, inside, rgb_weight, &terms.soft.grad_rgb);
-    terms.iou.forward(recorder, n, terms.soft.alpha(), target, terms.slot(SILHOUETTE));
     let weight = part * config.weights.silhouette;
-    terms.iou.backward(recorder, n, target, weight, &terms.soft.grad_alpha);
+    terms.silhouette.record(recorder, scene, level, target, weight, None, terms.slot(SILHOUETTE));
     terms.soft.backward(recorder, &params, &level.camera, scene, &terms.face_colours, &terms.grad_face_colours);
     scene.backward(recorder, level, at, grad_at);
 }
