@@ -41,6 +41,12 @@ pub struct Summary {
     pub novel_view_ssim: Option<f64>,
     pub novel_pose_psnr_db: Option<f64>,
     pub novel_pose_ssim: Option<f64>,
+    pub scaled_novel_view_psnr_db: Option<f64>,
+    pub scaled_novel_view_ssim: Option<f64>,
+    pub scaled_novel_pose_psnr_db: Option<f64>,
+    pub scaled_novel_pose_ssim: Option<f64>,
+    /// Truth over ours.
+    pub scale: Option<f64>,
     pub mask_iou: Option<f64>,
     pub chamfer_cm: Option<f64>,
     pub chamfer_sum_cm: Option<f64>,
@@ -57,6 +63,9 @@ pub struct Report {
     pub summary: Summary,
     pub novel_views: Vec<ImageScore>,
     pub novel_poses: Vec<ImageScore>,
+    /// As the two above, with places and cameras in our units.
+    pub scaled_novel_views: Vec<ImageScore>,
+    pub scaled_novel_poses: Vec<ImageScore>,
     pub mask_iou: Vec<FrameIou>,
     pub geometry: Vec<GeometryScore>,
     pub joints: Option<JointScore>,
@@ -69,6 +78,11 @@ fn mean<T>(rows: &[T], value: impl Fn(&T) -> f64) -> Option<f64> {
 }
 
 impl Report {
+    /// Mean scale of the alignments, truth over ours: one camera cannot tell a small person near from a tall one far.
+    pub fn scale(&self) -> Option<f64> {
+        mean(&self.geometry, |r| r.scale)
+    }
+
     /// Fills the means in from the rows.
     pub fn summarise(&mut self) {
         self.summary = Summary {
@@ -76,6 +90,11 @@ impl Report {
             novel_view_ssim: mean(&self.novel_views, |r| r.ssim),
             novel_pose_psnr_db: mean(&self.novel_poses, |r| r.psnr_db),
             novel_pose_ssim: mean(&self.novel_poses, |r| r.ssim),
+            scaled_novel_view_psnr_db: mean(&self.scaled_novel_views, |r| r.psnr_db),
+            scaled_novel_view_ssim: mean(&self.scaled_novel_views, |r| r.ssim),
+            scaled_novel_pose_psnr_db: mean(&self.scaled_novel_poses, |r| r.psnr_db),
+            scaled_novel_pose_ssim: mean(&self.scaled_novel_poses, |r| r.ssim),
+            scale: self.scale(),
             mask_iou: mean(&self.mask_iou, |r| r.iou),
             chamfer_cm: mean(&self.geometry, |r| r.aligned.chamfer_cm),
             chamfer_sum_cm: mean(&self.geometry, |r| r.aligned.chamfer_sum_cm),
@@ -95,6 +114,11 @@ impl Report {
             ("              SSIM", s.novel_view_ssim, "", 4),
             ("novel poses   PSNR on white", s.novel_pose_psnr_db, "dB", 2),
             ("              SSIM", s.novel_pose_ssim, "", 4),
+            ("  in our scale  novel views   PSNR on white", s.scaled_novel_view_psnr_db, "dB", 2),
+            ("                              SSIM", s.scaled_novel_view_ssim, "", 4),
+            ("                novel poses   PSNR on white", s.scaled_novel_pose_psnr_db, "dB", 2),
+            ("                              SSIM", s.scaled_novel_pose_ssim, "", 4),
+            ("                truth over ours", s.scale, "", 4),
             ("training masks  IoU", s.mask_iou, "", 4),
             ("surface       Chamfer (mean of both directions)", s.chamfer_cm, "cm", 3),
             ("              Chamfer (sum of both directions)", s.chamfer_sum_cm, "cm", 3),

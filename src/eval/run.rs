@@ -21,6 +21,8 @@ pub enum EvalError {
     Subject(#[from] SubjectError),
     #[error(transparent)]
     Render(#[from] RenderError),
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
     #[error("{picture}: {reason}")]
     Picture { picture: String, reason: String },
 }
@@ -34,6 +36,10 @@ pub fn evaluate(
     mut progress: impl FnMut(&str),
 ) -> Result<Report, EvalError> {
     let mut report = Report::default();
+    for i in 0..subject.surfaces.len() {
+        progress(&format!("surface of frame {}", subject.surfaces[i].0));
+        report.geometry.extend(geometry(renderer.model(), subject, i)?);
+    }
     for novel in &subject.views {
         progress(&novel.name);
         report.novel_views.push(image_score(renderer, novel, out, &mut report.warnings)?);
@@ -42,15 +48,36 @@ pub fn evaluate(
         progress(&novel.name);
         report.novel_poses.push(image_score(renderer, novel, out, &mut report.warnings)?);
     }
+    if let Some(scale) = report.scale() {
+        let folder = out.map(|out| out.join("scaled"));
+        if let Some(folder) = &folder {
+            std::fs::create_dir_all(folder)?;
+        }
+        let mut ignored = Vec::new();
+        for (novels, scores) in
+            [(&subject.views, &mut report.scaled_novel_views), (&subject.poses, &mut report.scaled_novel_poses)]
+        {
+            for novel in novels {
+                progress(&format!("{}, scaled", novel.name));
+                scores.push(image_score(renderer, &in_our_units(novel, scale), folder.as_deref(), &mut ignored)?);
+            }
+        }
+    }
     progress("training masks");
     report.mask_iou = training_masks(renderer, subject)?;
-    for i in 0..subject.surfaces.len() {
-        progress(&format!("surface of frame {}", subject.surfaces[i].0));
-        report.geometry.extend(geometry(renderer.model(), subject, i)?);
-    }
     report.joints = joints(renderer.model(), &subject.joints);
     report.summarise();
     Ok(report)
+}
+
+/// The same picture of a world in which everything is `1 / scale` as large: `scale` is truth over ours.
+fn in_our_units(novel: &Novel, scale: f64) -> Novel {
+    let mut novel = novel.clone();
+    novel.camera.translation = novel.camera.translation.map(|t| t / scale);
+    if let NovelPose::Pose(_, pelvis) = &mut novel.pose {
+        *pelvis = pelvis.map(|x| (x as f64 / scale) as f32);
+    }
+    novel
 }
 
 fn image_score(

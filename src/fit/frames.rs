@@ -28,8 +28,6 @@ impl FrameLevel {
 
 /// A frame on the device.
 pub struct DeviceFrame {
-    /// In the uploaded video.
-    pub index: u32,
     /// Full resolution first, then each half of the one before.
     pub levels: Vec<FrameLevel>,
 }
@@ -125,7 +123,7 @@ pub fn upload(gpu: &Gpu, capture: &Capture, camera: &Camera, n_levels: usize) ->
                 let label = format!("fit/frame_{}/level_{level}", frame.index);
                 levels.push(packed.upload(gpu, &label, camera, scale));
             }
-            DeviceFrame { index: frame.index, levels }
+            DeviceFrame { levels }
         })
         .collect()
 }

@@ -50,6 +50,7 @@ impl MeshLosses {
     }
 
     /// Records values and gradients; adds to `shape.grad_v_deformed` and `grad_offsets`.
+    #[expect(clippy::too_many_arguments, reason = "the operands of three losses")]
     pub fn record(
         &self,
         recorder: &mut Recorder<'_>,

@@ -49,6 +49,7 @@ pub enum FitError {
 }
 
 /// Runs stages 1 and 2 from `state` on; `camera` is stage 0's. The state of every checkpoint goes to `checkpoint`.
+#[expect(clippy::too_many_arguments, reason = "a fit reads a body, a clip, its settings and its controls")]
 pub fn run(
     gpu: &Arc<Gpu>,
     body: &Body,

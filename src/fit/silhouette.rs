@@ -41,6 +41,7 @@ impl SilhouetteTerm {
 
     /// Records the loss of the scene's last hard image and adds its gradient to `grad_view`. With `rgb`, a colour image
     /// and its gradient, borders between parts of the body are moved by the colours too.
+    #[expect(clippy::too_many_arguments, reason = "the operands of the loss")]
     pub fn record(
         &self,
         recorder: &mut Recorder<'_>,

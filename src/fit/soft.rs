@@ -32,10 +32,6 @@ impl SoftTerm {
         &self.rasterizer.rgb
     }
 
-    pub fn alpha(&self) -> &Buffer<f32> {
-        &self.rasterizer.alpha
-    }
-
     pub fn clear_gradients(&self, recorder: &mut Recorder<'_>) {
         recorder.clear(&self.grad_rgb);
         recorder.clear(&self.grad_alpha);

@@ -124,9 +124,9 @@ fn psnr_on_white(picture: &image::RgbaImage, frame: &Frame, camera: &Camera) -> 
     let mut squares = 0.0;
     for ((pixel, rgb), &mask) in picture.pixels().zip(frame.rgb.as_chunks::<3>().0).zip(&frame.mask) {
         let alpha = pixel.0[3] as f64 / 255.0;
-        for c in 0..3 {
-            let ours = alpha * pixel.0[c] as f64 / 255.0 + (1.0 - alpha);
-            let theirs = if mask >= 128 { rgb[c] as f64 / 255.0 } else { 1.0 };
+        for (ours, theirs) in pixel.0[..3].iter().zip(rgb) {
+            let ours = alpha * *ours as f64 / 255.0 + (1.0 - alpha);
+            let theirs = if mask >= 128 { *theirs as f64 / 255.0 } else { 1.0 };
             squares += (ours - theirs).powi(2);
         }
     }
