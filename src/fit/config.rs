@@ -22,6 +22,8 @@ pub struct Weights {
     pub normal_consistency: f32,
     pub face_area: f32,
     pub laplacian: f32,
+    /// On accelerations, a frame.
+    pub motion: f32,
 }
 
 /// Learning rates (Adam), at the start of a stage.
@@ -101,6 +103,7 @@ impl FitConfig {
                 normal_consistency: 0.2,
                 face_area: 0.02,
                 laplacian: 0.5,
+                motion: 2e-3,
             },
             rates: Rates {
                 betas: 1e-2,
@@ -126,7 +129,9 @@ impl FitConfig {
     pub fn paper(seed: u64) -> Self {
         let standard = Self::standard(seed);
         let plain = Phase { diffusion: 0, ..FINE };
+        let weights = Weights { motion: 0.0, ..standard.weights.clone() };
         Self {
+            weights,
             silhouette_gradient: SilhouetteGradient::Nmr,
             geometry: vec![
                 Phase { epochs: 10, offsets: false, ..plain.clone() },

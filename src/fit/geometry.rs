@@ -15,6 +15,7 @@ use super::control::{Control, Flow, Pace, StepReport};
 use super::groups::{Group, VertexGroup};
 use super::keypoint_term::KeypointTerm;
 use super::mesh_losses::{MeshLosses, MeshSlots};
+use super::motion::Motion;
 use super::scene::Scene;
 use super::silhouette::SilhouetteTerm;
 use super::soft::{SoftTerm, soft_params};
@@ -90,6 +91,7 @@ impl Groups {
 struct Terms {
     rgb: RgbL1,
     silhouette: SilhouetteTerm,
+    motion: Motion,
     soft: SoftTerm,
     keypoints: Option<KeypointTerm>,
     mesh: MeshLosses,
@@ -113,6 +115,7 @@ impl Terms {
         Self {
             rgb: RgbL1::new(gpu, n),
             silhouette: SilhouetteTerm::new(scene, config.silhouette_gradient),
+            motion: Motion::new(gpu),
             soft: SoftTerm::new(scene),
             keypoints: KeypointTerm::new(gpu, body, capture, camera),
             mesh: MeshLosses::new(gpu, body, topology),
@@ -233,6 +236,8 @@ fn record_step(
         MESH,
     );
     scene.skinning.shape_backward(recorder, &scene.shape, &groups.betas.grads, &groups.offsets.grads);
+    let frame_weight = config.weights.motion / batch.len() as f32;
+    terms.motion.record(recorder, frame_weight, &groups.poses, &groups.transl);
     let rates = &config.rates;
     groups.betas.step(recorder, &[0], rates.betas * rate);
     groups.poses.step(recorder, batch, rates.pose * rate);

@@ -9,6 +9,7 @@ mod geometry;
 mod groups;
 mod keypoint_term;
 mod mesh_losses;
+mod motion;
 mod scene;
 mod silhouette;
 mod soft;

@@ -14,6 +14,7 @@ use super::config::{FitConfig, Phase};
 use super::control::{Control, Flow, Pace, StepReport};
 use super::frames::FrameLevel;
 use super::groups::Group;
+use super::motion::Motion;
 use super::scene::Scene;
 use super::silhouette::SilhouetteTerm;
 use super::soft::{SoftTerm, soft_params};
@@ -71,6 +72,7 @@ struct Terms {
     interpolate: Interpolate,
     rgb: RgbL1,
     silhouette: SilhouetteTerm,
+    motion: Motion,
     soft: SoftTerm,
     /// Fixed in this stage.
     face_colours: Buffer<f32>,
@@ -112,6 +114,7 @@ impl Terms {
             interpolate: Interpolate::new(gpu, n, n),
             rgb: RgbL1::new(gpu, n),
             silhouette: SilhouetteTerm::new(scene, config.silhouette_gradient),
+            motion: Motion::new(gpu),
             soft: SoftTerm::new(scene),
             face_colours: gpu.upload("fit/face_colours", &state.face_colours),
             grad_face_colours: gpu.zeros("fit/grad_face_colours", state.face_colours.len()),
@@ -206,6 +209,8 @@ fn record_step(
     for &frame in batch {
         record_frame(scene, terms, groups, config, phase, frame, 1.0 / batch.len() as f32, step, &mut recorder);
     }
+    let frame_weight = config.weights.motion / batch.len() as f32;
+    terms.motion.record(&mut recorder, frame_weight, &groups.poses, &groups.transl);
     let rates = &config.rates;
     groups.field_steps += 1;
     let n = groups.field_steps;

@@ -40,6 +40,7 @@ pub mod silhouette_iou;
 pub mod skinning;
 pub mod soft_rasterize;
 mod target;
+pub mod temporal;
 #[cfg(test)]
 pub(crate) mod testing;
 pub mod texture_field;

@@ -1,0 +1,52 @@
+use super::{Temporal, TemporalConfig, cpu};
+use crate::ops::testing::{assert_close, assert_gradient, gpu};
+
+const CONFIG: TemporalConfig = TemporalConfig { stride: 4, first: 1, scale: 0.3, max_change: 1.0 };
+
+/// Seven frames of four numbers; the second number jumps once.
+fn motion() -> Vec<f64> {
+    let mut values: Vec<f64> = (0..28).map(|i| ((i * 37) % 11) as f64 * 0.05).collect();
+    for frame in 4..7 {
+        values[frame * 4 + 1] += 5.0;
+    }
+    values
+}
+
+#[test]
+fn the_gradient_is_that_of_the_penalty_also_beside_a_jump() {
+    let values = motion();
+    let mut grads = vec![0.0; values.len()];
+    cpu::backward(&CONFIG, &values, 1.0, &mut grads);
+    assert_gradient("values", &values, &grads, |x| cpu::forward(&CONFIG, x));
+}
+
+#[test]
+fn steady_motion_and_left_out_numbers_cost_nothing() {
+    let steady: Vec<f64> = (0..28).map(|i| (i / 4) as f64 * 0.2).collect();
+    assert!(cpu::forward(&CONFIG, &steady) < 1e-20);
+    let mut shaken = steady.clone();
+    shaken[12] += 0.5;
+    assert!(cpu::forward(&CONFIG, &shaken) < 1e-20, "number 0 is left out");
+    shaken[13] += 0.5;
+    assert!(cpu::forward(&CONFIG, &shaken) > 1.0);
+}
+
+#[test]
+fn two_frames_have_no_acceleration() {
+    let mut grads = vec![0.0; 8];
+    cpu::backward(&CONFIG, &[0.0, 1.0, 2.0, 3.0, 0.5, 0.5, 0.5, 0.5], 1.0, &mut grads);
+    assert_eq!(grads, [0.0; 8]);
+}
+
+#[test]
+fn gpu_matches_the_twin() {
+    let Some(gpu) = gpu("temporal::gpu_matches_the_twin") else { return };
+    let values: Vec<f32> = motion().iter().map(|&x| x as f32).collect();
+    let mut want = vec![1.0f32; values.len()];
+    cpu::backward(&CONFIG, &values, 0.7, &mut want);
+    let (values, grads) = (gpu.upload("values", &values), gpu.upload("grads", &vec![1.0f32; want.len()]));
+    let mut recorder = gpu.recorder("temporal/test");
+    Temporal::new(&gpu, CONFIG).backward(&mut recorder, &values, 0.7, &grads);
+    recorder.submit().unwrap();
+    assert_close("grads", &gpu.read(&grads).unwrap(), &want, 1e-5);
+}
