@@ -15,7 +15,7 @@ use crate::jobs::{AvatarFile, Job, JobError, Lease, NewAvatar, ProgressReport, Q
 use crate::storage::{Published, Store};
 
 /// How often the job's row is looked at: a wish to cancel is passed on within this time.
-const LOOK: Duration = Duration::from_millis(500);
+const LOOK: Duration = Duration::from_millis(200);
 /// Progress is written at most this often.
 const REPORT: Duration = Duration::from_secs(1);
 /// The lease is renewed this often, with or without progress.

@@ -110,8 +110,8 @@ impl Supervisor {
             }
             tokio::select! {
                 () = tokio::time::sleep(backoff) => {}
-                // The sender is ours, so this only ends with a change.
-                _ = stop.changed() => {}
+                // The sender is ours, so this only ends with the wish.
+                _ = stop.wait_for(|stop| *stop) => {}
             }
             backoff = (backoff * 2).min(self.settings.backoff_max);
         }
