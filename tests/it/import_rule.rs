@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 /// Folder → the folders that it may name. Root leaves (`camera`, `npz`, `data_dir`) are open to all.
 const RULE: &[(&str, &[&str])] = &[
-    ("http", &["jobs", "storage", "capture", "avatar", "worker"]),
+    ("http", &["jobs", "storage", "capture"]),
     ("worker", &["jobs", "storage", "capture", "fit", "avatar", "eval", "gpu", "body"]),
     ("fit", &["ops", "body", "gpu", "capture"]),
     ("avatar", &["ops", "body", "gpu"]),
