@@ -78,7 +78,10 @@ fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
     // The silhouettes agree; the avatar is grey where the truth has colours.
     assert!(s.novel_view_psnr_db.unwrap() > 14.0 && s.novel_pose_psnr_db.unwrap() > 14.0, "{s:?}");
     assert!(report.warnings.is_empty());
-    assert_eq!(std::fs::read_dir(&out).unwrap().count(), 4);
+    for folder in [out.clone(), out.join("scaled")] {
+        let pictures = std::fs::read_dir(folder).unwrap().filter(|f| f.as_ref().unwrap().path().is_file()).count();
+        assert_eq!(pictures, 4);
+    }
 
     let mut moved = truth;
     moved.transl.iter_mut().for_each(|t| t[0] += 0.03);

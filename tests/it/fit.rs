@@ -1,0 +1,138 @@
+//! The pipeline on a small made clip: it recovers the person, stops when asked and goes on from its checkpoint.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+
+use effigy::avatar::AvatarModel;
+use effigy::body::Body;
+use effigy::eval::{SynthOptions, synthesise};
+use effigy::gpu::{DeviceSelect, Gpu};
+use effigy::jobs::{JobOptions, Preset};
+use effigy::worker::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput, Progress, Stage, StopReason};
+
+fn gpu(test: &str) -> Option<Arc<Gpu>> {
+    match Gpu::open(&DeviceSelect::Auto) {
+        Ok(gpu) => Some(gpu),
+        Err(reason) => {
+            assert!(std::env::var_os("CI").is_none(), "{test}: CI requires a device: {reason}");
+            eprintln!("{test}: ignored, {reason}");
+            None
+        }
+    }
+}
+
+/// A clip of the test body that turns once, made once for all tests.
+fn clip(gpu: &Arc<Gpu>) -> &'static Path {
+    static CLIP: OnceLock<tempfile::TempDir> = OnceLock::new();
+    let made = || {
+        let folder = tempfile::tempdir().unwrap();
+        let options = SynthOptions { frames: 12, size_px: 96, truths: 1, seed: 5, ..SynthOptions::default() };
+        synthesise(gpu, &Body::test_body(), &options, folder.path(), |_, _| {}).unwrap();
+        folder
+    };
+    CLIP.get_or_init(made).path()
+}
+
+fn input(clip: &Path) -> PipelineInput {
+    let file = |name: &str| clip.join(name);
+    PipelineInput {
+        video: file("video.mp4"),
+        masks: file("masks.zip"),
+        keypoints: file("keypoints.json"),
+        camera: Some(file("camera.json")),
+        poses: None,
+        options: JobOptions { preset: Preset::Draft, body: "test".into(), ..JobOptions::default() },
+    }
+}
+
+/// Writes down what it hears; asks to stop at a step of a stage.
+#[derive(Default)]
+struct Witness {
+    heard: Vec<Progress>,
+    stop_at: Option<(Stage, u32)>,
+    idle: usize,
+}
+
+impl Observer for Witness {
+    fn progress(&mut self, progress: &Progress) {
+        self.heard.push(progress.clone());
+    }
+
+    fn stop(&mut self) -> Option<StopReason> {
+        let last = self.heard.last()?;
+        let (stage, step) = self.stop_at?;
+        (last.stage == stage && last.step >= step).then_some(StopReason::Cancel)
+    }
+
+    fn idle(&mut self, _gpu: &Arc<Gpu>) {
+        self.idle += 1;
+    }
+}
+
+fn run(gpu: &Arc<Gpu>, input: &PipelineInput, folder: &Path, witness: &mut Witness) -> Result<Outcome, PipelineError> {
+    let (work, out) = (folder.join("work"), folder.join("out"));
+    for path in [&work, &out] {
+        std::fs::create_dir_all(path).unwrap();
+    }
+    pipeline::run(gpu, input, Path::new("no-bodies-needed"), &work, &out, witness)
+}
+
+fn checkpoint(folder: &Path) -> PathBuf {
+    folder.join("work/checkpoint.npz")
+}
+
+#[test]
+fn a_clip_becomes_an_avatar_that_looks_like_the_person() {
+    let Some(gpu) = gpu("a_clip_becomes_an_avatar_that_looks_like_the_person") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut witness = Witness::default();
+    let outcome = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap();
+    assert_eq!(outcome.frames, 12);
+    assert!(outcome.metrics["mask_iou"].as_f64().unwrap() > 0.9, "{:#}", outcome.metrics);
+    assert!(outcome.metrics["psnr"].as_f64().unwrap() > 20.0, "{:#}", outcome.metrics);
+    for file in ["avatar.glb", "texture.png", "motion.npz", "mesh.ply", "report.json", "model.npz"] {
+        assert!(folder.path().join("out").join(file).metadata().unwrap().len() > 100, "{file}");
+    }
+    let model = AvatarModel::load(&folder.path().join("out/model.npz")).unwrap();
+    assert_eq!((model.poses.len(), model.frames[11]), (12, 11));
+
+    let progress: Vec<f32> = witness.heard.iter().map(|p| p.progress).collect();
+    assert!(progress.is_sorted(), "progress never goes back: {progress:?}");
+    assert!(progress[0] < 0.05 && *progress.last().unwrap() > 0.95);
+    assert!(witness.idle > 20, "the device is lent out between iterations");
+    let losses = &witness.heard.iter().rev().find(|p| p.stage == Stage::Texture).unwrap().losses;
+    assert!(losses["rgb"].is_finite() && losses["silhouette"] < 0.2, "{losses:?}");
+}
+
+#[test]
+fn a_stopped_fit_goes_on_from_its_checkpoint() {
+    let Some(gpu) = gpu("a_stopped_fit_goes_on_from_its_checkpoint") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut witness = Witness { stop_at: Some((Stage::Geometry, 20)), ..Witness::default() };
+    let stopped = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness);
+    assert!(matches!(stopped, Err(PipelineError::Stopped(StopReason::Cancel))), "{stopped:?}");
+    assert!(checkpoint(folder.path()).exists());
+
+    let mut witness = Witness { stop_at: Some((Stage::Geometry, 23)), ..Witness::default() };
+    let stopped = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness);
+    assert!(matches!(stopped, Err(PipelineError::Stopped(_))), "{stopped:?}");
+    let steps: Vec<u32> =
+        witness.heard.iter().filter(|p| p.stage == Stage::Geometry && p.step > 0).map(|p| p.step).collect();
+    assert_eq!(steps, [21, 22, 23]);
+
+    // Another clip's checkpoint, or a torn one, is not followed.
+    std::fs::write(checkpoint(folder.path()), b"torn").unwrap();
+    let mut witness = Witness { stop_at: Some((Stage::Geometry, 2)), ..Witness::default() };
+    run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
+    assert!(witness.heard.iter().any(|p| p.stage == Stage::Geometry && p.step == 1));
+}
+
+#[test]
+fn an_unknown_body_says_what_to_do() {
+    let Some(gpu) = gpu("an_unknown_body_says_what_to_do") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut input = input(clip(&gpu));
+    input.options.body = "nobody".into();
+    let error = run(&gpu, &input, folder.path(), &mut Witness::default()).unwrap_err().to_string();
+    assert!(error.contains("nobody") && error.contains("effigy body import"), "{error}");
+}
