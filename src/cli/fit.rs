@@ -40,6 +40,9 @@ pub struct Args {
     body: String,
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// The person's height, metres: one camera cannot tell it.
+    #[arg(long)]
+    height_m: Option<f64>,
     /// Side of the baked texture: 2048 or 4096.
     #[arg(long, default_value_t = 2048)]
     texture_px: u32,
@@ -90,6 +93,7 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
         max_side_px: args.max_side_px,
         body: args.body.clone(),
         seed: args.seed,
+        height_m: args.height_m,
         texture_px: args.texture_px,
     };
     options.check()?;

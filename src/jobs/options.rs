@@ -34,6 +34,10 @@ pub struct JobOptions {
     /// Seed of everything random in the fit: the same inputs, options and device give the same avatar.
     #[schema(default = 0)]
     pub seed: u64,
+    /// The person's height, metres. One camera cannot tell a small person near from a tall one far; absent, the body's
+    /// mean height decides.
+    #[schema(minimum = 0.5, maximum = 2.5)]
+    pub height_m: Option<f64>,
     /// Side of the baked texture: 2048 or 4096.
     #[schema(default = 2048)]
     pub texture_px: u32,
@@ -47,6 +51,7 @@ impl Default for JobOptions {
             max_side_px: None,
             body: "default".into(),
             seed: 0,
+            height_m: None,
             texture_px: 2048,
         }
     }
@@ -93,6 +98,9 @@ impl JobOptions {
         if let Some(n) = self.max_side_px.filter(|n| !(64..=4096).contains(n)) {
             return Err(wrong("max_side_px", n.to_string(), "64 to 4096"));
         }
+        if let Some(h) = self.height_m.filter(|h| !(0.5..=2.5).contains(h)) {
+            return Err(wrong("height_m", h.to_string(), "0.5 to 2.5"));
+        }
         if ![2048, 4096].contains(&self.texture_px) {
             return Err(wrong("texture_px", self.texture_px.to_string(), "2048 or 4096"));
         }
@@ -136,6 +144,7 @@ mod tests {
             (r#"{"max_frames":1}"#, "max_frames"),
             (r#"{"max_frames":"many"}"#, "max_frames"),
             (r#"{"max_side_px":100000}"#, "max_side_px"),
+            (r#"{"height_m":17.5}"#, "height_m"),
             (r#"{"texture_px":1000}"#, "texture_px"),
             (r#"{"body":"../etc"}"#, "body"),
             (r#"{"seed":-1}"#, "seed"),

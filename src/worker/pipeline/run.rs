@@ -44,7 +44,7 @@ pub fn run(
     let body = load_body(data_dir, &input.options.body)?;
     let capture = load_capture(input)?;
     monitor.start(Stage::Pose)?;
-    let start = solve_poses(&body, &capture, &mut monitor)?;
+    let start = solve_poses(&body, &capture, input.options.height_m, &mut monitor)?;
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
     let checkpoint = work_dir.join("checkpoint.npz");
@@ -95,8 +95,14 @@ fn load_capture(input: &PipelineInput) -> Result<Capture, PipelineError> {
     Ok(Capture::load(&input.capture_inputs(), &capture_options(&input.options))?)
 }
 
-fn solve_poses(body: &Body, capture: &Capture, monitor: &mut Monitor<'_>) -> Result<Stage0Result, PipelineError> {
-    let solved = stage0::solve(body, capture, &Stage0Options::default(), &mut |done| {
+fn solve_poses(
+    body: &Body,
+    capture: &Capture,
+    height_m: Option<f64>,
+    monitor: &mut Monitor<'_>,
+) -> Result<Stage0Result, PipelineError> {
+    let options = Stage0Options { height_m, ..Stage0Options::default() };
+    let solved = stage0::solve(body, capture, &options, &mut |done| {
         monitor.tell(Stage::Pose, (done * 100.0) as u32, 100);
         monitor.go_on()
     });
