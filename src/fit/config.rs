@@ -115,11 +115,11 @@ impl FitConfig {
                 field: 1e-2,
             },
             geometry: vec![
-                Phase { epochs: 10, offsets: false, ..COARSE },
-                Phase { epochs: 20, ..COARSE },
-                Phase { epochs: 10, diffusion: 4, rate: 0.7, ..FINE },
+                Phase { epochs: 12, offsets: false, ..COARSE },
+                Phase { epochs: 30, ..COARSE },
+                Phase { epochs: 30, diffusion: 4, rate: 0.7, ..FINE },
             ],
-            texture: vec![Phase { epochs: 20, pose_rate: 0.3, ..FINE }],
+            texture: vec![Phase { epochs: 15, pose_rate: 0.3, ..FINE }],
             pixel_rate: 0.5,
             field: TextureFieldConfig::default(),
         }
