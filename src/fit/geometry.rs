@@ -1,7 +1,6 @@
 //! Stage 1 (paper §3.6): β, D, θᵢ, Rᵢ, tᵢ and one colour a face, so that the mesh comes to lie where image and silhouette
 //! have it.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use rand::SeedableRng;
@@ -14,6 +13,7 @@ use super::config::{FitConfig, Phase};
 use super::control::{Control, Flow, Pace, StepReport};
 use super::groups::{Group, VertexGroup};
 use super::keypoint_term::KeypointTerm;
+use super::losses::Losses;
 use super::mesh_losses::{MeshLosses, MeshSlots};
 use super::motion::Motion;
 use super::scene::Scene;
@@ -24,7 +24,6 @@ use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::gpu::{Buffer, Recorder};
-use crate::ops::LossSlot;
 use crate::ops::Topology;
 use crate::ops::adam::AdamConfig;
 use crate::ops::diffuse::Diffuse;
@@ -98,7 +97,7 @@ struct Terms {
     diffuse: Diffuse,
     image: Buffer<f32>,
     grad_image: Buffer<f32>,
-    losses: Buffer<f32>,
+    losses: Losses,
 }
 
 impl Terms {
@@ -122,12 +121,8 @@ impl Terms {
             diffuse: Diffuse::new(gpu, &topology.neighbours.starts, &topology.neighbours.items),
             image: gpu.zeros("fit/image", n * 3),
             grad_image: gpu.zeros("fit/grad_image", n * 3),
-            losses: gpu.zeros("fit/losses", NAMES.len()),
+            losses: Losses::new(scene, Stage::Geometry, &NAMES),
         }
-    }
-
-    fn slot(&self, index: usize) -> LossSlot<'_> {
-        LossSlot::new(&self.losses, index)
     }
 }
 
@@ -145,13 +140,12 @@ pub(super) fn run(
     control: &mut dyn Control,
 ) -> Result<(), FitError> {
     let n_frames = scene.frames.len();
-    let terms = Terms::new(scene, body, topology, capture, camera, config);
+    let mut terms = Terms::new(scene, body, topology, capture, camera, config);
     let mut groups = Groups::new(scene, state);
     let mut pace = Pace::new();
     let batches = n_frames.div_ceil(config.batch) as u32;
     let steps: u32 = config.geometry.iter().map(|p| p.epochs * batches).sum();
     let mut step = 0;
-    let mut frames_since = 0;
     for (number, phase) in config.geometry.iter().enumerate() {
         let phase_steps = phase.epochs * batches;
         if step + phase_steps <= state.step {
@@ -170,13 +164,10 @@ pub(super) fn run(
                 }
                 let rate = phase.rate * decay(step, steps);
                 record_step(scene, &terms, &mut groups, config, phase, batch, rate)?;
-                frames_since += batch.len();
+                terms.losses.count(batch.len());
                 state.step = step;
                 let due = pace.losses_due() || step == steps;
-                let losses = if due { Some(read_losses(scene, &terms, frames_since, step)?) } else { None };
-                if due {
-                    frames_since = 0;
-                }
+                let losses = if due { Some(terms.losses.read(scene, step)?) } else { None };
                 if pace.checkpoint_due() {
                     groups.read_into(scene, state)?;
                     state.save(checkpoint)?;
@@ -232,7 +223,7 @@ fn record_step(
         &scene.shape,
         &groups.offsets.values,
         &groups.offsets.grads,
-        &terms.losses,
+        terms.losses.values(),
         MESH,
     );
     scene.skinning.shape_backward(recorder, &scene.shape, &groups.betas.grads, &groups.offsets.grads);
@@ -275,21 +266,21 @@ fn record_frame(
     let target = level.masked(background);
 
     scene.hard.shade(recorder, &level.camera, &groups.face_colours.values, background, &terms.image);
-    terms.rgb.forward(recorder, n, &terms.image, target, None, terms.slot(RGB));
+    terms.rgb.forward(recorder, n, &terms.image, target, None, terms.losses.slot(RGB));
     recorder.clear(&terms.grad_image);
     terms.rgb.backward(recorder, n, &terms.image, target, None, rgb_weight, &terms.grad_image);
     scene.hard.shade_backward(recorder, &level.camera, &scene.view, &terms.grad_image, &groups.face_colours.grads);
 
     let rgb = RgbGradient { image: &terms.image, grad_image: &terms.grad_image };
     let weight = part * weights.silhouette;
-    terms.silhouette.record(recorder, scene, level, target, weight, Some(rgb), terms.slot(SILHOUETTE));
+    terms.silhouette.record(recorder, scene, level, target, weight, Some(rgb), terms.losses.slot(SILHOUETTE));
 
     // Near faces outweigh the background as far as the blur reaches, so outside the mask the soft colours would only pull
     // the mesh inwards, against the silhouette.
     let inside = Some(&level.inside);
     let params = soft_params(scene, phase, frame, background);
     terms.soft.forward(recorder, &params, &level.camera, scene, &groups.face_colours.values);
-    terms.rgb.forward(recorder, n, terms.soft.rgb(), target, inside, terms.slot(RGB_SOFT));
+    terms.rgb.forward(recorder, n, terms.soft.rgb(), target, inside, terms.losses.slot(RGB_SOFT));
     terms.soft.clear_gradients(recorder);
     terms.rgb.backward(recorder, n, terms.soft.rgb(), target, inside, rgb_weight, &terms.soft.grad_rgb);
     terms.soft.backward(
@@ -302,27 +293,7 @@ fn record_frame(
     );
 
     if let Some(keypoints) = &terms.keypoints {
-        keypoints.record(recorder, scene, frame, part * weights.keypoints, terms.slot(KEYPOINTS));
+        keypoints.record(recorder, scene, frame, part * weights.keypoints, terms.losses.slot(KEYPOINTS));
     }
     scene.backward(recorder, level, groups.at(frame), groups.grad_at(frame));
-}
-
-/// Mean losses a frame (a step for those of the mesh) since the last call; the slots start anew.
-fn read_losses(
-    scene: &Scene,
-    terms: &Terms,
-    frames: usize,
-    step: u32,
-) -> Result<BTreeMap<&'static str, f32>, FitError> {
-    let values = scene.gpu.read(&terms.losses)?;
-    let mut recorder = scene.gpu.recorder("fit/losses");
-    recorder.clear(&terms.losses);
-    recorder.submit()?;
-    let losses: BTreeMap<_, _> =
-        NAMES.iter().zip(&values).map(|(&name, &value)| (name, value / frames.max(1) as f32)).collect();
-    if values.iter().all(|v| v.is_finite()) {
-        Ok(losses)
-    } else {
-        Err(FitError::Diverged { stage: Stage::Geometry, step, losses })
-    }
 }

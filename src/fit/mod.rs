@@ -8,6 +8,7 @@ mod frames;
 mod geometry;
 mod groups;
 mod keypoint_term;
+mod losses;
 mod mesh_losses;
 mod motion;
 mod scene;
@@ -67,14 +68,24 @@ pub fn run(
     let scene = Scene::new(gpu, body, &topology, frames, camera, &state.transl);
     if state.stage == Stage::Geometry {
         geometry::run(&scene, body, &topology, capture, camera, config, &mut state, checkpoint, control)?;
+        check_finite(&state)?;
         state.stage = Stage::Texture;
         state.step = 0;
         state.save(checkpoint)?;
     }
     if state.stage == Stage::Texture {
         texture::run(&scene, config, &mut state, checkpoint, control)?;
+        check_finite(&state)?;
         state.stage = Stage::Done;
         state.save(checkpoint)?;
     }
     Ok(state)
+}
+
+/// The losses of a step may still be finite when its update is not.
+fn check_finite(state: &FitState) -> Result<(), FitError> {
+    if state.is_finite() {
+        return Ok(());
+    }
+    Err(FitError::Diverged { stage: state.stage, step: state.step, losses: Default::default() })
 }

@@ -67,6 +67,11 @@ impl FitState {
         self.poses.len() / 72
     }
 
+    /// False where a parameter has become infinite or NaN.
+    pub fn is_finite(&self) -> bool {
+        self.arrays().iter().all(|(_, values)| values.iter().all(|x| x.is_finite()))
+    }
+
     /// Writes the state; the file appears whole or not at all.
     pub fn save(&self, path: &Path) -> Result<(), NpzError> {
         let folder = path.parent().unwrap_or(Path::new("."));

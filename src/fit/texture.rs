@@ -2,7 +2,6 @@
 //! the hard image, while the poses are refined through the soft image of the fixed face colours and through the texture
 //! itself.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use rand::SeedableRng;
@@ -14,13 +13,13 @@ use super::config::{FitConfig, Phase};
 use super::control::{Control, Flow, Pace, StepReport};
 use super::frames::FrameLevel;
 use super::groups::Group;
+use super::losses::Losses;
 use super::motion::Motion;
 use super::scene::Scene;
 use super::silhouette::SilhouetteTerm;
 use super::soft::{SoftTerm, soft_params};
 use super::state::{FitState, Stage};
 use crate::gpu::{Buffer, Recorder};
-use crate::ops::LossSlot;
 use crate::ops::adam::{Adam, AdamConfig};
 use crate::ops::interpolate::{Interpolate, Sampling};
 use crate::ops::rgb_l1::RgbL1;
@@ -85,7 +84,7 @@ struct Terms {
     grad_bary: Buffer<f32>,
     /// `[N]`: weights of the pixels at level 0, see [`trusted_pixels`].
     trusted: Vec<Buffer<f32>>,
-    losses: Buffer<f32>,
+    losses: Losses,
 }
 
 /// 1 for pixels well inside the mask, 0 elsewhere: the mask's border mixes the person with the background, and the texture
@@ -123,12 +122,8 @@ impl Terms {
             grad_rgb: gpu.zeros("fit/grad_rgb", n * 3),
             grad_coords: gpu.zeros("fit/grad_coords", n * 3),
             grad_bary: gpu.zeros("fit/grad_bary", n * 3),
-            losses: gpu.zeros("fit/losses", NAMES.len()),
+            losses: Losses::new(scene, Stage::Texture, &NAMES),
         })
-    }
-
-    fn slot(&self, index: usize) -> LossSlot<'_> {
-        LossSlot::new(&self.losses, index)
     }
 }
 
@@ -141,7 +136,7 @@ pub(super) fn run(
     control: &mut dyn Control,
 ) -> Result<(), FitError> {
     let n_frames = scene.frames.len();
-    let terms = Terms::new(scene, config, state)?;
+    let mut terms = Terms::new(scene, config, state)?;
     let mut groups = Groups::new(scene, state, &terms.field);
     let mut pace = Pace::new();
     let batches = n_frames.div_ceil(config.batch) as u32;
@@ -151,7 +146,6 @@ pub(super) fn run(
     scene.skinning.shape_forward(&mut recorder, &shape.0, &shape.1, &scene.shape);
     recorder.submit()?;
     let mut step = 0;
-    let mut frames_since = 0;
     for (number, phase) in config.texture.iter().enumerate() {
         for epoch in 0..phase.epochs {
             let mut order: Vec<usize> = (0..n_frames).collect();
@@ -164,15 +158,10 @@ pub(super) fn run(
                 }
                 let rate = phase.rate * 0.1f32.powf(step as f32 / steps.max(1) as f32);
                 record_step(scene, &terms, &mut groups, config, phase, batch, rate, step)?;
-                frames_since += batch.len();
+                terms.losses.count(batch.len());
                 state.step = step;
-                let losses = if pace.losses_due() || step == steps {
-                    let losses = read_losses(scene, &terms, frames_since, step)?;
-                    frames_since = 0;
-                    Some(losses)
-                } else {
-                    None
-                };
+                let due = pace.losses_due() || step == steps;
+                let losses = if due { Some(terms.losses.read(scene, step)?) } else { None };
                 if pace.checkpoint_due() {
                     groups.read_into(scene, &terms.field, state)?;
                     state.save(checkpoint)?;
@@ -258,7 +247,7 @@ fn record_frame(
     let weight = part * config.weights.rgb / (pixels * config.pixel_rate);
     let weights = Some(&terms.trusted[frame]);
     let target = level.masked(background);
-    terms.rgb.forward(recorder, n, image, target, weights, terms.slot(RGB));
+    terms.rgb.forward(recorder, n, image, target, weights, terms.losses.slot(RGB));
     recorder.clear(grad_image);
     terms.rgb.backward(recorder, n, image, target, weights, weight, grad_image);
     interpolate.gather(recorder, n, grad_image, grad_rgb);
@@ -287,30 +276,10 @@ fn record_frame(
     let rgb_weight = part * config.weights.rgb / pixels;
     terms.soft.forward(recorder, &params, &level.camera, scene, &terms.face_colours);
     terms.soft.clear_gradients(recorder);
-    terms.rgb.forward(recorder, n, terms.soft.rgb(), target, inside, terms.slot(RGB_SOFT));
+    terms.rgb.forward(recorder, n, terms.soft.rgb(), target, inside, terms.losses.slot(RGB_SOFT));
     terms.rgb.backward(recorder, n, terms.soft.rgb(), target, inside, rgb_weight, &terms.soft.grad_rgb);
     let weight = part * config.weights.silhouette;
-    terms.silhouette.record(recorder, scene, level, target, weight, None, terms.slot(SILHOUETTE));
+    terms.silhouette.record(recorder, scene, level, target, weight, None, terms.losses.slot(SILHOUETTE));
     terms.soft.backward(recorder, &params, &level.camera, scene, &terms.face_colours, &terms.grad_face_colours);
     scene.backward(recorder, level, at, grad_at);
-}
-
-/// Mean losses a frame since the last call; the slots start anew.
-fn read_losses(
-    scene: &Scene,
-    terms: &Terms,
-    frames: usize,
-    step: u32,
-) -> Result<BTreeMap<&'static str, f32>, FitError> {
-    let values = scene.gpu.read(&terms.losses)?;
-    let mut recorder = scene.gpu.recorder("fit/losses");
-    recorder.clear(&terms.losses);
-    recorder.submit()?;
-    let losses: BTreeMap<_, _> =
-        NAMES.iter().zip(&values).map(|(&name, &value)| (name, value / frames.max(1) as f32)).collect();
-    if values.iter().all(|v| v.is_finite()) {
-        Ok(losses)
-    } else {
-        Err(FitError::Diverged { stage: Stage::Texture, step, losses })
-    }
 }

@@ -5,7 +5,10 @@ use std::sync::{Arc, OnceLock};
 
 use effigy::avatar::AvatarModel;
 use effigy::body::Body;
+use effigy::capture::{Capture, CaptureOptions};
 use effigy::eval::{SynthOptions, synthesise};
+use effigy::fit::stage0::{self, Stage0Options};
+use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
 use effigy::worker::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput, Progress, Stage, StopReason};
@@ -125,6 +128,30 @@ fn a_stopped_fit_goes_on_from_its_checkpoint() {
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 2)), ..Witness::default() };
     run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
     assert!(witness.heard.iter().any(|p| p.stage == Stage::Geometry && p.step == 1));
+}
+
+struct Patient;
+
+impl Control for Patient {
+    fn after_step(&mut self, _report: &StepReport<'_>) -> Flow {
+        Flow::Continue
+    }
+}
+
+#[test]
+fn a_fit_that_diverges_says_so() {
+    let Some(gpu) = gpu("a_fit_that_diverges_says_so") else { return };
+    let input = input(clip(&gpu));
+    let body = Body::test_body();
+    let capture = Capture::load(&input.capture_inputs(), &CaptureOptions { max_frames: 4, max_side_px: 96 }).unwrap();
+    let start = stage0::solve(&body, &capture, &Stage0Options::default(), &mut |_| true).unwrap();
+    let mut config = FitConfig::draft(0);
+    config.rates.transl = f32::MAX;
+    let state = FitState::new(&body, start.betas, &start.poses, &start.transl, config.field, 0);
+    let folder = tempfile::tempdir().unwrap();
+    let checkpoint = folder.path().join("checkpoint.npz");
+    let result = fit::run(&gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut Patient);
+    assert!(matches!(result, Err(FitError::Diverged { .. })), "{:?}", result.map(|state| state.transl));
 }
 
 #[test]
