@@ -34,6 +34,9 @@ enum Command {
 }
 
 fn main() -> anyhow::Result<()> {
+    // Mesa's device-selection layer looks for a display and complains where there is none; adapters are chosen by us.
+    // SAFETY: no other thread runs yet.
+    unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     match Args::parse().command {
         Command::Body(args) => cli::body::run(args),
         Command::Fit(args) => cli::fit::run(args),
