@@ -77,6 +77,32 @@ impl Clock for ManualClock {
 pub struct Env {
     clock: Arc<dyn Clock>,
     random: Arc<Mutex<Pcg64Mcg>>,
+    last_id: Arc<Mutex<LastId>>,
+}
+
+/// Where the newest id lies in time: its millisecond and its count within.
+#[derive(Default)]
+struct LastId {
+    ms: u64,
+    count: u16,
+}
+
+impl LastId {
+    /// A UUIDv7 has 12 bits after the millisecond.
+    const COUNTS: u16 = 1 << 12;
+
+    /// The place of the next id: later than the last, also within one millisecond or when the clock was set back.
+    fn advance(&mut self, now: u64) -> (u64, u16) {
+        if now > self.ms {
+            (self.ms, self.count) = (now, 0);
+        } else {
+            self.count += 1;
+            if self.count == Self::COUNTS {
+                (self.ms, self.count) = (self.ms + 1, 0);
+            }
+        }
+        (self.ms, self.count)
+    }
 }
 
 impl Env {
@@ -86,18 +112,20 @@ impl Env {
     }
 
     pub fn new(clock: Arc<dyn Clock>, seed: u64) -> Self {
-        Env { clock, random: Arc::new(Mutex::new(Pcg64Mcg::seed_from_u64(seed))) }
+        Env { clock, random: Arc::new(Mutex::new(Pcg64Mcg::seed_from_u64(seed))), last_id: Arc::default() }
     }
 
     pub fn now(&self) -> Timestamp {
         self.clock.now()
     }
 
-    /// A UUIDv7 of the present moment.
+    /// A UUIDv7 of the present moment, greater than all that this environment gave before: ids are the order of jobs.
     pub fn new_id(&self) -> Uuid {
         let mut bytes = [0; 10];
         self.random.lock().unwrap().fill_bytes(&mut bytes);
-        uuid::Builder::from_unix_timestamp_millis(self.now().0.max(0) as u64, &bytes).into_uuid()
+        let (ms, count) = self.last_id.lock().unwrap().advance(self.now().0.max(0) as u64);
+        bytes[..2].copy_from_slice(&count.to_be_bytes());
+        uuid::Builder::from_unix_timestamp_millis(ms, &bytes).into_uuid()
     }
 
     /// Uniform in [0, 1).
@@ -121,6 +149,16 @@ mod tests {
         ] {
             assert_eq!(Timestamp(ms).rfc3339(), text);
         }
+    }
+
+    #[test]
+    fn ids_rise_within_a_millisecond_and_when_the_clock_is_set_back() {
+        let clock = ManualClock::new(Timestamp(1_700_000_000_000));
+        let env = Env::new(clock.clone(), 1);
+        let mut ids: Vec<Uuid> = (0..5000).map(|_| env.new_id()).collect();
+        *clock.0.lock().unwrap() = Timestamp(1_600_000_000_000);
+        ids.extend((0..10).map(|_| env.new_id()));
+        assert!(ids.is_sorted_by(|a, b| a < b));
     }
 
     #[test]
