@@ -6,6 +6,7 @@ use std::path::Path;
 use effigy::body::Body;
 use effigy::eval::{SynthOptions, synthesise};
 use effigy::gpu::{DeviceSelect, Gpu};
+use effigy::npz::Npz;
 use reqwest::blocking::{Client, Response, get, multipart};
 
 use super::process::Serve;
@@ -79,12 +80,14 @@ fn a_killed_fit_goes_on() {
     let job = upload(&serve.url, &clip);
     let id = job["id"].as_str().unwrap();
     let job_url = format!("{}/v1/jobs/{id}", serve.url);
-    // The end of stage 1 leaves the first checkpoint of so short a fit.
+    // The end of stage 1 leaves the first checkpoint of so short a fit, or the clock on a slow machine.
     let checkpoint = data.join("jobs").join(id).join("work/checkpoint.npz");
     while !checkpoint.exists() {
         std::thread::yield_now();
     }
     serve.kill_worker();
+    let saved = Npz::open(&checkpoint).unwrap();
+    let (stage, step) = (saved.scalar("stage").unwrap(), saved.scalar("step").unwrap());
     let mut events = Events::of(&job_url);
     events.until(|event| event["state"] == "running" && event["attempt"] == 2);
 
@@ -96,8 +99,10 @@ fn a_killed_fit_goes_on() {
     let job: Value = get(&job_url).unwrap().json().unwrap();
     assert!((2..=3).contains(&job["attempt"].as_u64().unwrap()), "{job}");
     let report: Value = get(format!("{}/v1/avatars/{id}/report.json", serve.url)).unwrap().json().unwrap();
-    let stages: Vec<&Value> = report["losses"].as_array().unwrap().iter().map(|entry| &entry["stage"]).collect();
-    assert!(!stages.contains(&&json!("geometry")), "stage 1 was fitted again: {stages:?}");
+    for entry in report["losses"].as_array().unwrap() {
+        let again = entry["stage"] == "geometry" && (stage > 1.0 || entry["step"].as_f64().unwrap() <= step);
+        assert!(!again, "the checkpoint had stage {stage}, step {step}, and this came after it: {entry}");
+    }
     let avatar: Value = get(format!("{}/v1/avatars/{id}", serve.url)).unwrap().json().unwrap();
     assert_eq!(avatar["frames"], 6, "{avatar}");
     let glb = get(format!("{}{}", serve.url, avatar["files"]["avatar.glb"].as_str().unwrap())).unwrap();
