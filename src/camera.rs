@@ -1,6 +1,7 @@
 //! The pinhole camera that clips, operators, avatars and requests share.
 
-/// A pinhole camera in OpenCV's axes; pixel centres at half integers. Frames of a [`Capture`] are undistorted.
+/// A pinhole camera in OpenCV's axes; pixel centres at half integers. Frames of a [`Capture`](crate::capture::Capture) are
+/// undistorted.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Camera {
     pub width: u32,

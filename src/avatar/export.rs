@@ -11,9 +11,6 @@ use super::{BakeError, ModelError, Texture, UvLayout, bake, ply, write_glb, writ
 use crate::gpu::GpuError;
 use crate::npz::NpzError;
 
-/// Sides of a baked texture that are offered.
-pub const TEXTURE_SIZES_PX: [u32; 3] = [1024, 2048, 4096];
-
 /// Why the files could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {

@@ -18,7 +18,7 @@ mod trace;
 mod video;
 
 pub use atlas::{BakeError, UvLayout, bake};
-pub use export::{ExportError, TEXTURE_SIZES_PX};
+pub use export::ExportError;
 pub use gltf::{Texture, write_glb};
 pub use model::{AvatarModel, ModelError};
 pub use motion::write_motion;

@@ -154,7 +154,7 @@ pub(super) fn run(
         }
         start_phase(scene, body, &mut groups, phase)?;
         for epoch in 0..phase.epochs {
-            // The order depends on the epoch alone, so that a resumed fit goes on as it would have.
+            // The order depends on the epoch alone, so that a resumed fit sees the frames as it would have.
             let mut order: Vec<usize> = (0..n_frames).collect();
             order.shuffle(&mut Pcg32::seed_from_u64(config.seed ^ ((number as u64) << 32 | epoch as u64)));
             for batch in order.chunks(config.batch) {
