@@ -3,7 +3,7 @@
 PROFILE_DIR := $(or $(CARGO_TARGET_DIR),target)/debug
 EFFIGY := $(PROFILE_DIR)/effigy
 
-.PHONY: demo test setup build lint body openapi validate-glb
+.PHONY: demo test results setup build lint body openapi validate-glb
 
 ## The main job for real: server, upload, fit, avatar, renders. CLIP=folder uses your own clip.
 demo: setup build
@@ -12,6 +12,10 @@ demo: setup build
 ## Formatting, lints, all tests.
 test: setup
 	scripts/test.sh
+
+## The paper's claims, measured: every study, then docs/results.md.
+results: body
+	"$(EFFIGY)" study all
 
 ## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, Node.js).
 setup:

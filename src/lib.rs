@@ -13,4 +13,5 @@ pub mod jobs;
 pub mod npz;
 pub mod ops;
 pub mod storage;
+pub mod study;
 pub mod worker;

@@ -23,6 +23,8 @@ enum Command {
     Eval(cli::eval::Args),
     /// Make a clip of a clothed person, with truth.
     Synth(cli::synth::Args),
+    /// Measure the paper's claims and write docs/results.md.
+    Study(cli::study::Args),
     /// Time the operators on this device.
     Bench(cli::bench::Args),
     /// Run the service: the API and its worker.
@@ -43,6 +45,7 @@ fn main() -> anyhow::Result<()> {
         Command::Render(args) => cli::render::run(args),
         Command::Eval(args) => cli::eval::run(args),
         Command::Synth(args) => cli::synth::run(args),
+        Command::Study(args) => cli::study::run(args),
         Command::Bench(args) => cli::bench::run(args),
         Command::Serve(args) => cli::serve::run(args),
         Command::Worker(args) => cli::worker::run(args),

@@ -6,6 +6,7 @@ pub mod openapi;
 pub mod render;
 pub mod serve;
 mod service;
+pub mod study;
 pub mod synth;
 pub mod worker;
 

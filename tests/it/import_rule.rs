@@ -11,6 +11,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("fit", &["ops", "body", "gpu", "capture"]),
     ("avatar", &["ops", "body", "gpu"]),
     ("eval", &["avatar", "ops", "body", "gpu", "capture"]),
+    ("study", &["fit", "avatar", "eval", "ops", "body", "gpu", "capture"]),
     ("ops", &["gpu", "body"]),
     ("jobs", &[]),
     ("storage", &[]),
