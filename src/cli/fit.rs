@@ -95,6 +95,7 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
         seed: args.seed,
         height_m: args.height_m,
         texture_px: args.texture_px,
+        ..JobOptions::default()
     };
     options.check()?;
     let part = |given: &Option<PathBuf>, name: &str| -> anyhow::Result<Option<PathBuf>> {

@@ -96,6 +96,7 @@ fn worker_command(store: &Store, service: &ServiceArgs) -> Result<SupervisorSett
     let text = |path: &Path| path.to_str().map(str::to_string).context("the data folder's name is no UTF-8");
     let mut arguments = vec!["worker".to_string(), "--renders-on-stdio".into(), "--data-dir".into()];
     arguments.push(text(store.root())?);
+    arguments.extend(["--stall-secs".to_string(), service.stall_secs.to_string()]);
     if let Some(days) = service.retain_days {
         arguments.extend(["--retain-days".to_string(), days.to_string()]);
     }

@@ -19,11 +19,18 @@ pub struct ServiceArgs {
     /// Remove a job's files so many days after its end; without it they stay.
     #[arg(long, value_name = "DAYS")]
     pub retain_days: Option<u64>,
+    /// A fit that shows no step for so long hangs: its attempt ends, and the worker's process is started anew.
+    #[arg(long, env = "EFFIGY_STALL_SECS", value_name = "SECS", default_value_t = 600)]
+    pub stall_secs: u64,
 }
 
 impl ServiceArgs {
     pub fn data_dir(&self) -> PathBuf {
         self.data_dir.clone().unwrap_or_else(effigy::data_dir::data_dir)
+    }
+
+    pub fn stall(&self) -> Duration {
+        Duration::from_secs(self.stall_secs)
     }
 
     pub fn policy(&self) -> Policy {

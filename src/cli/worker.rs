@@ -58,10 +58,15 @@ async fn work(args: Args) -> Result<()> {
         shutdown.send_replace(true);
     });
     let owner = Owner::new(&store.workers(), env.new_id())?;
-    let settings = WorkerSettings::default();
+    let settings = WorkerSettings { stall: args.service.stall(), ..WorkerSettings::default() };
     let overdue = overdue(stopped.clone());
     tokio::select! {
-        () = Worker { queue: queue.clone(), store, device, owner, settings }.run(stopped) => {}
+        ended = Worker { queue: queue.clone(), store, device, owner, settings }.run(stopped) => {
+            if let Err(hung) = ended {
+                tracing::error!("{hung}; this process ends");
+                end_at_once();
+            }
+        }
         () = overdue => bail!("the fit did not stop in time; its job goes on elsewhere from the last checkpoint"),
     }
     queue.close().await;
@@ -73,6 +78,17 @@ async fn overdue(mut stopped: watch::Receiver<bool>) {
     if stopped.wait_for(|stopped| *stopped).await.is_ok() {
         tokio::time::sleep(GRACE).await;
     }
+}
+
+/// Without the exit handlers of drivers, which would wait for the thread that hangs.
+fn end_at_once() -> ! {
+    #[cfg(unix)]
+    // SAFETY: ends the process; nothing runs after it.
+    unsafe {
+        libc::_exit(1)
+    }
+    #[cfg(not(unix))]
+    std::process::exit(1)
 }
 
 fn lower_priority() {

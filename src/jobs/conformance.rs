@@ -126,9 +126,10 @@ pub async fn a_stale_epoch_writes_nothing(b: Bench) {
     assert_eq!(b.queue.standing(&stale).await.unwrap(), Standing::Lost);
     assert_eq!(b.queue.heartbeat(&stale).await.unwrap(), Standing::Lost);
     assert_eq!(b.queue.report(&stale, &report(0.9)).await.unwrap(), Standing::Lost);
+    assert_eq!(b.queue.saved(&stale, 0.9).await.unwrap(), Standing::Lost);
     assert_eq!(b.queue.add_stage_time(&stale, "bake", 1.0).await.unwrap(), Standing::Lost);
     assert_eq!(b.queue.succeed(&stale, avatar()).await.unwrap(), Standing::Lost);
-    assert_eq!(b.queue.fail(&stale, JobError::new("internal", "x"), true).await.unwrap(), Standing::Lost);
+    assert_eq!(b.queue.fail(&stale, JobError::new("internal", "x"), Repeat::Counted).await.unwrap(), Standing::Lost);
     assert_eq!(b.queue.give_back(&stale).await.unwrap(), Standing::Lost);
     assert_eq!(b.queue.confirm_cancel(&stale).await.unwrap(), Standing::Lost);
     assert_eq!(b.job(id).await.version, before);
@@ -143,7 +144,7 @@ pub async fn a_finished_lease_writes_nothing(b: Bench) {
     b.queue.succeed(&lease, avatar()).await.unwrap();
     assert_eq!(b.queue.heartbeat(&lease).await.unwrap(), Standing::Lost);
     assert_eq!(b.queue.succeed(&lease, avatar()).await.unwrap(), Standing::Lost);
-    assert_eq!(b.queue.fail(&lease, JobError::new("internal", "x"), true).await.unwrap(), Standing::Lost);
+    assert_eq!(b.queue.fail(&lease, JobError::new("internal", "x"), Repeat::Counted).await.unwrap(), Standing::Lost);
 }
 
 pub async fn heartbeats_and_progress_keep_the_lease(b: Bench) {
@@ -174,12 +175,97 @@ pub async fn a_job_that_kills_its_worker_fails_after_its_attempts(b: Bench) {
     assert_eq!(b.states(id).await, ["queued", "running", "queued", "running", "queued", "running", "failed"]);
 }
 
+pub async fn a_killed_attempt_that_moved_on_is_not_counted(b: Bench) {
+    let id = b.add().await;
+    for attempt in 1..=5 {
+        let lease = b.claim().await.unwrap();
+        assert_eq!(b.queue.saved(&lease, f64::from(attempt) / 10.0).await.unwrap(), Standing::Held);
+        // By a death and by silence.
+        if attempt % 2 == 0 {
+            assert_eq!(b.queue.release_owner("worker-1").await.unwrap(), [id]);
+        } else {
+            b.clock.advance(Duration::from_secs(60));
+            assert_eq!(b.queue.reap().await.unwrap().reclaimed, [id]);
+        }
+        let job = b.job(id).await;
+        assert_eq!((job.state, job.attempt, job.excused), (State::Queued, attempt, attempt));
+        b.clock.advance(Duration::from_secs(600));
+    }
+    // The same place once more is no progress, and neither is less.
+    for attempt in 6..=8 {
+        let lease = b.claim().await.unwrap();
+        b.queue.saved(&lease, [0.5, 0.3, f64::NAN][attempt as usize - 6]).await.unwrap();
+        b.queue.release_owner("worker-1").await.unwrap();
+        assert_eq!((b.job(id).await.attempt, b.job(id).await.excused), (attempt, 5));
+        b.clock.advance(Duration::from_secs(600));
+    }
+    assert_eq!(b.job(id).await.state, State::Failed);
+    assert!(matches!(b.queue.retry(id).await.unwrap(), Change::Done(job) if job.attempt == 0 && job.excused == 0));
+}
+
+pub async fn an_attempt_that_fails_by_itself_is_counted_wherever_it_got(b: Bench) {
+    let id = b.add().await;
+    for attempt in 1..=3 {
+        let lease = b.claim().await.unwrap();
+        b.queue.saved(&lease, f64::from(attempt) / 10.0).await.unwrap();
+        b.queue.fail(&lease, JobError::new("device", "lost"), Repeat::Counted).await.unwrap();
+        b.clock.advance(Duration::from_secs(600));
+    }
+    let job = b.job(id).await;
+    assert_eq!((job.state, job.attempt, job.excused), (State::Failed, 3, 0));
+}
+
+pub async fn a_job_that_passes_its_deadline_fails(b: Bench) {
+    let mut ids = Vec::new();
+    for _ in 0..3 {
+        let mut new = new_job(&b.env);
+        new.options.deadline_secs = Some(30);
+        ids.push(b.queue.insert(new).await.unwrap().id);
+    }
+    let endless = b.add().await;
+    let running = b.claim().await.unwrap();
+    b.claim().await.unwrap();
+    b.queue.cancel(ids[1]).await.unwrap();
+    b.clock.advance(Duration::from_millis(29_000));
+    assert!(b.queue.reap().await.unwrap().late.is_empty());
+    b.clock.advance(Duration::from_millis(1_000));
+    assert_eq!(b.claim().await.unwrap().job, endless, "what has passed its deadline is not begun");
+    assert_eq!(b.queue.reap().await.unwrap().late, [ids[0], ids[2]]);
+    for id in [ids[0], ids[2]] {
+        let job = b.job(id).await;
+        assert_eq!((job.state, job.error.unwrap().kind.as_str()), (State::Failed, "deadline"));
+    }
+    assert_eq!(b.job(ids[1]).await.state, State::Canceling, "the user's wish comes first");
+    assert_eq!(b.queue.standing(&running).await.unwrap(), Standing::Lost);
+    assert_eq!(b.queue.succeed(&running, avatar()).await.unwrap(), Standing::Lost);
+    // A retry has the whole time again.
+    let Change::Done(job) = b.queue.retry(ids[2]).await.unwrap() else { panic!() };
+    assert_eq!(job.deadline_at, Some(b.env.now().plus(Duration::from_secs(30))));
+    assert_eq!(b.job(endless).await.deadline_at, None);
+}
+
+pub async fn a_higher_priority_goes_first(b: Bench) {
+    let mut ids = Vec::new();
+    for priority in [0, -5, 7, 7] {
+        b.clock.advance(Duration::from_millis(1));
+        let mut new = new_job(&b.env);
+        new.options.priority = priority;
+        ids.push(b.queue.insert(new).await.unwrap().id);
+    }
+    for (id, position) in ids.iter().zip([3, 4, 1, 2]) {
+        assert_eq!(b.job(*id).await.queue_position, Some(position));
+    }
+    for i in [2, 3, 0, 1] {
+        assert_eq!(b.claim().await.unwrap().job, ids[i]);
+    }
+}
+
 pub async fn repeats_wait_longer_each_time(b: Bench) {
     let id = b.add().await;
     let mut waits = Vec::new();
     for _ in 0..2 {
         let lease = b.claim().await.unwrap();
-        b.queue.fail(&lease, JobError::new("device", "lost"), true).await.unwrap();
+        b.queue.fail(&lease, JobError::new("device", "lost"), Repeat::Counted).await.unwrap();
         assert_eq!(b.claim().await, None, "a repeated job waits");
         let job = b.job(id).await;
         assert_eq!((job.state, job.error.unwrap().kind.as_str()), (State::Queued, "device"));
@@ -189,7 +275,7 @@ pub async fn repeats_wait_longer_each_time(b: Bench) {
     assert!((2000..=2500).contains(&waits[0]), "{waits:?}");
     assert!((4000..=5000).contains(&waits[1]), "{waits:?}");
     let lease = b.claim().await.unwrap();
-    b.queue.fail(&lease, JobError::new("device", "lost"), true).await.unwrap();
+    b.queue.fail(&lease, JobError::new("device", "lost"), Repeat::Counted).await.unwrap();
     assert_eq!(b.job(id).await.state, State::Failed);
 }
 
@@ -198,7 +284,7 @@ pub async fn a_final_error_is_not_repeated(b: Bench) {
     let lease = b.claim().await.unwrap();
     let mut error = JobError::new("diverged", "the loss is no number");
     error.losses.insert("rgb".into(), 1e9);
-    b.queue.fail(&lease, error.clone(), false).await.unwrap();
+    b.queue.fail(&lease, error.clone(), Repeat::Never).await.unwrap();
     let job = b.job(id).await;
     assert_eq!((job.state, job.error), (State::Failed, Some(error)));
     assert!(job.finished_at.is_some());
@@ -249,7 +335,7 @@ pub async fn retry_gives_all_attempts_again(b: Bench) {
     let id = b.add().await;
     assert!(matches!(b.queue.retry(id).await.unwrap(), Change::Refused(_)), "a queued job needs none");
     let lease = b.claim().await.unwrap();
-    b.queue.fail(&lease, JobError::new("bad-input", "no person"), false).await.unwrap();
+    b.queue.fail(&lease, JobError::new("bad-input", "no person"), Repeat::Never).await.unwrap();
     let Change::Done(job) = b.queue.retry(id).await.unwrap() else { panic!() };
     assert_eq!((job.state, job.attempt, job.error, job.finished_at), (State::Queued, 0, None, None));
     let again = b.claim().await.unwrap();
@@ -344,7 +430,7 @@ pub async fn the_list_pages_from_new_to_old(b: Bench) {
     let list = |state, before, limit| {
         let queue = b.queue.clone();
         async move {
-            let jobs = queue.list(ListFilter { state, before, limit }).await.unwrap();
+            let jobs = queue.list(ListFilter { state, before, limit, ..ListFilter::default() }).await.unwrap();
             jobs.into_iter().map(|job| job.id).collect::<Vec<_>>()
         }
     };
@@ -352,6 +438,17 @@ pub async fn the_list_pages_from_new_to_old(b: Bench) {
     assert_eq!(list(None, Some(ids[1]), 2).await, [ids[0]]);
     assert_eq!(list(Some(State::Canceled), None, 10).await, [ids[1]]);
     assert!(list(Some(State::Failed), None, 10).await.is_empty());
+    let middle = b.job(ids[1]).await.created_at;
+    let ranged = |created_from, created_before| {
+        let queue = b.queue.clone();
+        async move {
+            let filter = ListFilter { created_from, created_before, limit: 10, ..ListFilter::default() };
+            queue.list(filter).await.unwrap().into_iter().map(|job| job.id).collect::<Vec<_>>()
+        }
+    };
+    assert_eq!(ranged(Some(middle), None).await, [ids[2], ids[1]]);
+    assert_eq!(ranged(None, Some(middle)).await, [ids[0]]);
+    assert!(ranged(Some(middle), Some(middle)).await.is_empty());
 }
 
 pub async fn stage_times_add_up(b: Bench) {
@@ -375,6 +472,10 @@ macro_rules! suite {
             a_finished_lease_writes_nothing
             heartbeats_and_progress_keep_the_lease
             a_job_that_kills_its_worker_fails_after_its_attempts
+            a_killed_attempt_that_moved_on_is_not_counted
+            an_attempt_that_fails_by_itself_is_counted_wherever_it_got
+            a_job_that_passes_its_deadline_fails
+            a_higher_priority_goes_first
             repeats_wait_longer_each_time
             a_final_error_is_not_repeated
             cancel_of_a_queued_job_is_immediate

@@ -96,7 +96,8 @@ pub struct NewJob {
 /// Why an attempt ended badly.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct JobError {
-    /// A stable word for programs: `bad-input`, `diverged`, `device`, `internal`, `lease-lost`.
+    /// A stable word for programs: `bad-input`, `unfit`, `diverged`, `device`, `stalled`,
+    /// `deadline`, `internal`, `lease-lost`.
     #[serde(rename = "type")]
     pub kind: String,
     /// For people.
@@ -139,6 +140,11 @@ pub struct Job {
     pub priority: i64,
     pub attempt: u32,
     pub max_attempts: u32,
+    /// Attempts that do not count: a hard kill ended them after the checkpoint had moved on.
+    pub excused: u32,
+    /// How far the checkpoints have come, 0 to 1, and how far they had come at the claim.
+    pub saved: f64,
+    pub saved_at_claim: f64,
     pub epoch: i64,
     pub owner: Option<String>,
     pub stage: Option<String>,
@@ -155,6 +161,8 @@ pub struct Job {
     pub delete_requested_at: Option<Timestamp>,
     pub finished_at: Option<Timestamp>,
     pub expires_at: Option<Timestamp>,
+    /// Failed if it has not ended by then.
+    pub deadline_at: Option<Timestamp>,
     pub updated_at: Timestamp,
     /// Grows with every change of the job.
     pub version: i64,

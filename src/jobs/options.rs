@@ -41,6 +41,12 @@ pub struct JobOptions {
     /// Side of the baked texture: 2048 or 4096.
     #[schema(default = 2048)]
     pub texture_px: u32,
+    /// Jobs of a higher priority go first; among equals the older one.
+    #[schema(default = 0, minimum = -100, maximum = 100)]
+    pub priority: i32,
+    /// The job fails if it has not ended so many seconds after it was accepted, or queued again by a retry.
+    #[schema(minimum = 1, maximum = 2592000)]
+    pub deadline_secs: Option<u64>,
 }
 
 impl Default for JobOptions {
@@ -53,6 +59,8 @@ impl Default for JobOptions {
             seed: 0,
             height_m: None,
             texture_px: 2048,
+            priority: 0,
+            deadline_secs: None,
         }
     }
 }
@@ -104,6 +112,12 @@ impl JobOptions {
         if ![2048, 4096].contains(&self.texture_px) {
             return Err(wrong("texture_px", self.texture_px.to_string(), "2048 or 4096"));
         }
+        if !(-100..=100).contains(&self.priority) {
+            return Err(wrong("priority", self.priority.to_string(), "-100 to 100"));
+        }
+        if let Some(secs) = self.deadline_secs.filter(|secs| !(1..=2_592_000).contains(secs)) {
+            return Err(wrong("deadline_secs", secs.to_string(), "1 to 2592000"));
+        }
         // The name becomes a file name.
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
         if self.body.is_empty() || self.body.len() > 64 || !self.body.chars().all(plain) {
@@ -146,6 +160,9 @@ mod tests {
             (r#"{"max_side_px":100000}"#, "max_side_px"),
             (r#"{"height_m":17.5}"#, "height_m"),
             (r#"{"texture_px":1000}"#, "texture_px"),
+            (r#"{"priority":101}"#, "priority"),
+            (r#"{"priority":99999999999}"#, "priority"),
+            (r#"{"deadline_secs":0}"#, "deadline_secs"),
             (r#"{"body":"../etc"}"#, "body"),
             (r#"{"seed":-1}"#, "seed"),
         ] {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use futures_util::future::BoxFuture;
 use uuid::Uuid;
 
-use super::{Avatar, Event, Job, JobError, Losses, NewAvatar, NewJob, State};
+use super::{Avatar, Event, Job, JobError, Losses, NewAvatar, NewJob, State, Timestamp};
 
 /// The numbers that rule leases and repeats.
 #[derive(Clone, Debug)]
@@ -91,10 +91,25 @@ pub enum Deletion {
     Unknown,
 }
 
+/// What comes after an attempt that ended badly.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Repeat {
+    /// The job has failed: another attempt would end the same way.
+    Never,
+    /// Another attempt after a wait, if one is left.
+    Counted,
+    /// The same, but an attempt whose checkpoint moved on is not counted: it was killed, and it got somewhere.
+    Killed,
+}
+
 /// A page of the list, newest first.
 #[derive(Clone, Debug, Default)]
 pub struct ListFilter {
     pub state: Option<State>,
+    /// Only jobs created at this time or later.
+    pub created_from: Option<Timestamp>,
+    /// Only jobs created before this time.
+    pub created_before: Option<Timestamp>,
     /// Only jobs older than this one.
     pub before: Option<Uuid>,
     pub limit: u32,
@@ -117,6 +132,8 @@ pub struct ProgressReport {
 pub struct Reaped {
     /// Leases taken back.
     pub reclaimed: Vec<Uuid>,
+    /// Jobs failed because their deadline passed.
+    pub late: Vec<Uuid>,
     /// Jobs whose retention ended; their files are the caller's to remove.
     pub expired: Vec<Uuid>,
     /// Jobs deleted as wished; their files are the caller's to remove.
@@ -165,13 +182,15 @@ pub trait Queue: Send + Sync + 'static {
     fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing>;
     /// Writes progress and renews the lease.
     fn report<'a>(&'a self, lease: &'a Lease, report: &'a ProgressReport) -> Answer<'a, Standing>;
+    /// Tells that a checkpoint was written which holds so much of the whole job, 0 to 1.
+    fn saved<'a>(&'a self, lease: &'a Lease, progress: f64) -> Answer<'a, Standing>;
     fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> Answer<'a, Standing>;
     /// running, canceling → succeeded; the avatar appears in the same transaction. A wish to cancel that came after the
     /// last iteration comes too late.
     fn succeed<'a>(&'a self, lease: &'a Lease, avatar: NewAvatar) -> Answer<'a, Standing>;
-    /// The attempt ended badly: canceling → canceled; else failed, or queued again after a wait where `repeat` and
-    /// attempts are left.
-    fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: bool) -> Answer<'a, Standing>;
+    /// The attempt ended badly: canceling → canceled; else failed, or queued again after a wait where `repeat` allows
+    /// it and attempts are left.
+    fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: Repeat) -> Answer<'a, Standing>;
     /// running → queued at once, the attempt not counted: the worker shuts down. canceling → canceled.
     fn give_back<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing>;
     /// canceling → canceled: the fit has stopped.
@@ -179,7 +198,8 @@ pub trait Queue: Send + Sync + 'static {
 
     // The reaper's side.
 
-    /// Takes back leases that ran out, expires what retention has ended, deletes what was wished away.
+    /// Takes back leases that ran out, fails jobs that passed their deadline, expires what retention has ended, deletes
+    /// what was wished away.
     fn reap(&self) -> Answer<'_, Reaped>;
     /// Who holds leases.
     fn owners(&self) -> Answer<'_, Vec<String>>;

@@ -16,12 +16,22 @@ use crate::storage::Store;
 pub struct WorkerSettings {
     /// How often an idle worker looks for a job.
     pub poll: Duration,
+    /// A fit that shows no step for longer hangs: its attempt ends, and the process with it.
+    pub stall: Duration,
 }
 
 impl Default for WorkerSettings {
     fn default() -> Self {
-        WorkerSettings { poll: Duration::from_millis(500) }
+        WorkerSettings { poll: Duration::from_millis(500), stall: Duration::from_secs(600) }
     }
+}
+
+/// The device's thread is stuck in a fit.
+#[derive(Debug, thiserror::Error)]
+#[error("the fit of job {job} has shown no step for {secs} s")]
+pub struct Hung {
+    pub job: uuid::Uuid,
+    pub secs: u64,
 }
 
 /// Claims jobs one after the other and runs them.
@@ -34,19 +44,21 @@ pub struct Worker {
 }
 
 impl Worker {
-    /// Works until `shutdown` turns true; a job that runs then is given back with its checkpoint.
-    pub async fn run(self, mut shutdown: watch::Receiver<bool>) {
+    /// Works until `shutdown` turns true; a job that runs then is given back with its checkpoint. Where a fit hangs,
+    /// nothing more can be done on the device: the process must end.
+    pub async fn run(self, mut shutdown: watch::Receiver<bool>) -> Result<(), Hung> {
         tracing::info!(owner = self.owner.id(), "the worker waits for jobs");
         let runner = Runner {
             queue: self.queue.clone(),
             store: self.store.clone(),
             device: self.device.clone(),
+            stall: self.settings.stall,
             shutdown: shutdown.clone(),
         };
         while !*shutdown.borrow_and_update() {
             match self.queue.claim(self.owner.id()).await {
                 Ok(Some((lease, job))) => {
-                    runner.run(&lease, &job).await;
+                    runner.run(&lease, &job).await?;
                     continue;
                 }
                 Ok(None) => {}
@@ -59,5 +71,6 @@ impl Worker {
             }
         }
         tracing::info!(owner = self.owner.id(), "the worker has ended");
+        Ok(())
     }
 }

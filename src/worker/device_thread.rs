@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::thread;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
 
@@ -31,16 +31,46 @@ struct Drawing {
 }
 
 /// What the two sides of a running fit share.
-#[derive(Default)]
 pub struct Control {
     stop: Mutex<Option<StopReason>>,
+    /// The fit's last sign of life.
+    alive: Mutex<Instant>,
+    /// How far the newest checkpoint has come, until it is told on.
+    saved: Mutex<Option<f32>>,
     progress: watch::Sender<Option<Progress>>,
     /// The first progress of each stage, however short the stage was.
     begun: Mutex<Vec<Progress>>,
     stage_secs: Mutex<BTreeMap<&'static str, f64>>,
 }
 
+impl Default for Control {
+    fn default() -> Self {
+        Control {
+            stop: Mutex::default(),
+            alive: Mutex::new(Instant::now()),
+            saved: Mutex::default(),
+            progress: watch::Sender::default(),
+            begun: Mutex::default(),
+            stage_secs: Mutex::default(),
+        }
+    }
+}
+
 impl Control {
+    /// How long the fit has shown no step.
+    pub fn silence(&self) -> Duration {
+        self.alive.lock().unwrap().elapsed()
+    }
+
+    fn is_alive(&self) {
+        *self.alive.lock().unwrap() = Instant::now();
+    }
+
+    /// How far the checkpoint has come, where one was written since the last call.
+    pub fn take_saved(&self) -> Option<f32> {
+        self.saved.lock().unwrap().take()
+    }
+
     /// Asks the fit to stop. The first reason stays, but a lost lease outweighs all: nothing may be written then.
     pub fn stop(&self, reason: StopReason) {
         let mut stop = self.stop.lock().unwrap();
@@ -151,6 +181,7 @@ impl FitObserver<'_> {
 
 impl Observer for FitObserver<'_> {
     fn progress(&mut self, progress: &Progress) {
+        self.control.is_alive();
         let stage = progress.stage.name();
         if self.stage.is_none_or(|(current, _)| current != stage) {
             self.end_stage();
@@ -160,7 +191,12 @@ impl Observer for FitObserver<'_> {
         self.control.progress.send_replace(Some(progress.clone()));
     }
 
+    fn saved(&mut self, progress: f32) {
+        *self.control.saved.lock().unwrap() = Some(progress);
+    }
+
     fn stop(&mut self) -> Option<StopReason> {
+        self.control.is_alive();
         self.control.stop_reason()
     }
 

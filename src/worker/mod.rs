@@ -8,7 +8,8 @@
 //! ```
 //!
 //! A driver that crashes takes this process down, not the server; the lease of the job that it had is released as soon
-//! as the process is gone, because the lock on its file is gone too ([`owner`]).
+//! as the process is gone, because the lock on its file is gone too ([`owner`]). A fit that hangs ends the process too: its thread cannot be
+//! stopped.
 
 pub mod channel;
 mod claims;
@@ -23,7 +24,7 @@ mod supervisor;
 #[cfg(test)]
 mod tests;
 
-pub use claims::{Worker, WorkerSettings};
+pub use claims::{Hung, Worker, WorkerSettings};
 pub use device_thread::DeviceThread;
 pub use engine::{DeviceEngine, Engine, FitTask};
 pub use owner::Owner;

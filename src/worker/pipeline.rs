@@ -97,6 +97,9 @@ pub enum StopReason {
 pub trait Observer {
     fn progress(&mut self, progress: &Progress);
 
+    /// The checkpoint on the disk now holds so much of the whole job, 0 to 1.
+    fn saved(&mut self, _progress: f32) {}
+
     /// Asked between iterations; `Some` means: write a checkpoint and return [`PipelineError::Stopped`].
     fn stop(&mut self) -> Option<StopReason>;
 

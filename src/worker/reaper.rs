@@ -43,6 +43,9 @@ impl Reaper {
         for job in &reaped.reclaimed {
             tracing::warn!(%job, "taken back from a silent worker");
         }
+        for job in &reaped.late {
+            tracing::warn!(%job, "failed: its deadline has passed");
+        }
         for job in reaped.expired.into_iter().chain(reaped.deleted) {
             self.remove_files(job).await;
         }

@@ -7,11 +7,12 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval};
 
+use super::claims::Hung;
 use super::device_thread::{Control, DeviceThread};
 use super::engine::FitTask;
 use super::pipeline::{Outcome, PipelineError, PipelineInput, Progress, StopReason};
 use crate::capture::CaptureError;
-use crate::jobs::{AvatarFile, Job, JobError, Lease, NewAvatar, ProgressReport, Queue, QueueError, Standing};
+use crate::jobs::{AvatarFile, Job, JobError, Lease, NewAvatar, ProgressReport, Queue, QueueError, Repeat, Standing};
 use crate::storage::{Published, Store};
 
 /// How often the job's row is looked at: a wish to cancel is passed on within this time.
@@ -20,6 +21,9 @@ const LOOK: Duration = Duration::from_millis(200);
 const REPORT: Duration = Duration::from_secs(1);
 /// The lease is renewed this often, with or without progress.
 const HEARTBEAT: Duration = Duration::from_secs(10);
+/// A fit that has not stopped so long after a user's wish (a step may take long on a slow device) is canceled for the
+/// user; its lease is gone then, and the worker waits for it alone.
+const CANCEL_GRACE: Duration = Duration::from_secs(1);
 /// Tries to write the end of a job while the database refuses, before the lease is left to run out.
 const END_TRIES: u32 = 10;
 const END_WAIT: Duration = Duration::from_secs(3);
@@ -28,13 +32,15 @@ pub(super) struct Runner {
     pub queue: Arc<dyn Queue>,
     pub store: Arc<Store>,
     pub device: DeviceThread,
+    /// Longest time without a step.
+    pub stall: Duration,
     /// True once the process is to end.
     pub shutdown: watch::Receiver<bool>,
 }
 
 impl Runner {
-    /// Runs a claimed job to its end, whatever that is.
-    pub async fn run(&self, lease: &Lease, job: &Job) {
+    /// Runs a claimed job to its end, whatever that is; an error where the fit cannot be ended.
+    pub async fn run(&self, lease: &Lease, job: &Job) -> Result<(), Hung> {
         let started = Instant::now();
         tracing::info!(job = %lease.job, epoch = lease.epoch, attempt = job.attempt, "the fit begins");
         let control = Arc::new(Control::default());
@@ -43,7 +49,10 @@ impl Runner {
                 let end = self.accompany(lease, task, &control).await;
                 self.pass_begun(lease, &control).await;
                 self.pass_stage_secs(lease, &control).await;
-                end
+                match end {
+                    Some(end) => end,
+                    None => return Err(self.give_up(lease, &control).await),
+                }
             }
             Err(error) => Err(PipelineError::Internal(error.into())),
         };
@@ -52,6 +61,20 @@ impl Runner {
             Err(error) => tracing::warn!(job = %lease.job, %error, "the fit ended without an avatar"),
         }
         self.finish(lease, job, end).await;
+        Ok(())
+    }
+
+    /// Ends the attempt of a fit that hangs.
+    async fn give_up(&self, lease: &Lease, control: &Control) -> Hung {
+        let secs = control.silence().as_secs();
+        tracing::error!(job = %lease.job, secs, "the fit hangs");
+        let stage = control.progress().borrow().as_ref().map_or("first", |progress| progress.stage.name());
+        let error = JobError::new("stalled", format!("no step for {secs} s in the {stage} stage"));
+        // Where this cannot be written, the reaper finds the process dead.
+        if let Err(error) = self.queue.fail(lease, error, Repeat::Killed).await {
+            tracing::error!(job = %lease.job, %error, "the end of the attempt could not be written");
+        }
+        Hung { job: lease.job, secs }
     }
 
     async fn task(&self, lease: &Lease, job: &Job) -> std::io::Result<FitTask> {
@@ -75,7 +98,13 @@ impl Runner {
         Ok(task)
     }
 
-    async fn accompany(&self, lease: &Lease, task: FitTask, control: &Arc<Control>) -> Result<Outcome, PipelineError> {
+    /// Until the fit ends; None where it hangs.
+    async fn accompany(
+        &self,
+        lease: &Lease,
+        task: FitTask,
+        control: &Arc<Control>,
+    ) -> Option<Result<Outcome, PipelineError>> {
         let mut end = self.device.fit(task, control.clone());
         let mut progress = control.progress();
         let mut shutdown = self.shutdown.clone();
@@ -83,17 +112,23 @@ impl Runner {
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut reported = Instant::now();
         let mut renewed = Instant::now();
+        let mut cancel_since: Option<Instant> = None;
         loop {
             tokio::select! {
                 end = &mut end => {
-                    return end.unwrap_or_else(|_| Err(PipelineError::Internal(anyhow::anyhow!("the device's thread ended"))));
+                    let gone = |_| Err(PipelineError::Internal(anyhow::anyhow!("the device's thread ended")));
+                    return Some(end.unwrap_or_else(gone));
                 }
                 _ = looks.tick() => {}
+            }
+            if control.silence() > self.stall {
+                return None;
             }
             if *shutdown.borrow_and_update() {
                 control.stop(StopReason::Shutdown);
             }
             self.pass_begun(lease, control).await;
+            self.pass_saved(lease, control).await;
             let news = if reported.elapsed() >= REPORT && progress.has_changed().unwrap_or(false) {
                 progress.borrow_and_update().clone()
             } else {
@@ -112,7 +147,14 @@ impl Runner {
             };
             match standing {
                 Ok(Standing::Held) => {}
-                Ok(Standing::Canceling) => control.stop(StopReason::Cancel),
+                Ok(Standing::Canceling) => {
+                    control.stop(StopReason::Cancel);
+                    if cancel_since.get_or_insert_with(Instant::now).elapsed() > CANCEL_GRACE
+                        && let Err(error) = self.queue.confirm_cancel(lease).await
+                    {
+                        tracing::warn!(job = %lease.job, %error, "the job cannot be canceled yet");
+                    }
+                }
                 Ok(Standing::Lost) => control.stop(StopReason::LostLease),
                 // The fit goes on: the epoch guards the end should the lease run out meanwhile.
                 Err(error) => tracing::warn!(job = %lease.job, %error, "the queue cannot be reached"),
@@ -126,6 +168,14 @@ impl Runner {
             if let Err(error) = self.queue.report(lease, &report(&begun)).await {
                 tracing::warn!(job = %lease.job, %error, "the beginning of a stage goes untold");
             }
+        }
+    }
+
+    async fn pass_saved(&self, lease: &Lease, control: &Control) {
+        if let Some(progress) = control.take_saved()
+            && let Err(error) = self.queue.saved(lease, f64::from(progress)).await
+        {
+            tracing::warn!(job = %lease.job, %error, "a checkpoint goes untold");
         }
     }
 
@@ -166,7 +216,10 @@ impl Runner {
             Err(PipelineError::Stopped(StopReason::Cancel)) => self.queue.confirm_cancel(lease).await,
             Err(PipelineError::Stopped(StopReason::Shutdown)) => self.queue.give_back(lease).await,
             Err(PipelineError::Stopped(StopReason::LostLease)) => Ok(Standing::Lost),
-            Err(error) => self.queue.fail(lease, job_error(error), is_repeatable(end)).await,
+            Err(error) => {
+                let repeat = if is_repeatable(end) { Repeat::Counted } else { Repeat::Never };
+                self.queue.fail(lease, job_error(error), repeat).await
+            }
         }
     }
 

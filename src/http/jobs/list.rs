@@ -9,7 +9,7 @@ use super::view::JobView;
 use crate::http::App;
 use crate::http::error::{ApiError, Problem};
 use crate::http::extract::ApiQuery;
-use crate::jobs::{self, ListFilter};
+use crate::jobs::{self, ListFilter, Timestamp};
 
 #[derive(Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
@@ -17,6 +17,10 @@ use crate::jobs::{self, ListFilter};
 pub(super) struct ListQuery {
     /// Only jobs in this state.
     state: Option<jobs::State>,
+    /// Only jobs created at this time or later (RFC 3339, as in `created_at`).
+    created_from: Option<String>,
+    /// Only jobs created before this time.
+    created_before: Option<String>,
     /// Jobs in a page.
     #[serde(default = "default_limit")]
     #[param(minimum = 1, maximum = 200, default = 50)]
@@ -58,11 +62,26 @@ pub(super) async fn list(
             expected: Some("1 to 200".into()),
         });
     }
+    let time = |part: &str, text: &Option<String>| text.as_deref().map(|text| parse_time(part, text)).transpose();
     // One more than asked for tells whether there is a next page.
-    let filter = ListFilter { state: query.state, before: query.cursor, limit: query.limit + 1 };
+    let filter = ListFilter {
+        state: query.state,
+        created_from: time("created_from", &query.created_from)?,
+        created_before: time("created_before", &query.created_before)?,
+        before: query.cursor,
+        limit: query.limit + 1,
+    };
     let mut jobs = app.queue.list(filter).await?;
     let more = jobs.len() > query.limit as usize;
     jobs.truncate(query.limit as usize);
     let next = jobs.last().filter(|_| more).map(|job| job.id);
     Ok(Json(JobList { jobs: jobs.into_iter().map(JobView::from).collect(), next }))
+}
+
+fn parse_time(part: &str, text: &str) -> Result<Timestamp, ApiError> {
+    Timestamp::parse_rfc3339(text).ok_or_else(|| ApiError::Malformed {
+        detail: format!("{part} is {text:?}"),
+        part: Some(part.into()),
+        expected: Some("a time as in RFC 3339: 2026-01-31T12:00:00Z".into()),
+    })
 }

@@ -25,6 +25,8 @@ pub struct JobView {
     /// Attempts begun.
     pub attempt: u32,
     pub max_attempts: u32,
+    /// Attempts that do not count against `max_attempts`: a hard kill ended them after their checkpoint had moved on.
+    pub excused_attempts: u32,
     /// 1 = the next to be taken; null unless queued.
     pub queue_position: Option<u64>,
     /// The last value of each loss.
@@ -39,6 +41,8 @@ pub struct JobView {
     pub cancel_requested_at: Option<String>,
     pub finished_at: Option<String>,
     pub updated_at: String,
+    /// When the job fails if it has not ended.
+    pub deadline_at: Option<String>,
     /// When the job's files will be removed.
     pub expires_at: Option<String>,
     /// Id of the avatar, once the job has succeeded: `/v1/avatars/{avatar}`.
@@ -60,6 +64,7 @@ impl From<Job> for JobView {
             eta_secs: job.eta_secs,
             attempt: job.attempt,
             max_attempts: job.max_attempts,
+            excused_attempts: job.excused,
             queue_position: job.queue_position,
             losses: job.losses,
             options: job.options,
@@ -70,6 +75,7 @@ impl From<Job> for JobView {
             cancel_requested_at: text(job.cancel_requested_at),
             finished_at: text(job.finished_at),
             updated_at: job.updated_at.rfc3339(),
+            deadline_at: text(job.deadline_at),
             expires_at: text(job.expires_at),
             avatar: (job.state == State::Succeeded).then_some(job.id),
             error: job.error,

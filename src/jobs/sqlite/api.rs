@@ -1,6 +1,7 @@
 //! The API's side: users' wishes and reads.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use sqlx::Row;
 use uuid::Uuid;
@@ -16,17 +17,17 @@ impl SqliteQueue {
         let mut tx = self.write().await?;
         let now = self.env.now();
         sqlx::query(
-            "INSERT INTO jobs (id, state, options, inputs, clip, created_at, run_at, updated_at, max_attempts) \
-             VALUES (?, 'queued', ?, ?, ?, ?, ?, ?, ?)",
+            "INSERT INTO jobs (id, state, options, inputs, clip, priority, created_at, run_at, updated_at, max_attempts, \
+             deadline_at) VALUES (?1, 'queued', ?2, ?3, ?4, ?5, ?6, ?6, ?6, ?7, ?8)",
         )
         .bind(new.id.to_string())
         .bind(to_json(&new.options))
         .bind(to_json(&new.inputs))
         .bind(to_json(&new.clip))
-        .bind(now.0)
-        .bind(now.0)
+        .bind(new.options.priority)
         .bind(now.0)
         .bind(self.policy.max_attempts)
+        .bind(new.options.deadline_secs.map(|secs| now.plus(Duration::from_secs(secs)).0))
         .execute(&mut *tx)
         .await?;
         let job = rows::read(&mut tx, new.id).await?.ok_or(sqlx::Error::RowNotFound)?;
@@ -41,10 +42,13 @@ impl SqliteQueue {
 
     pub(super) async fn list_jobs(&self, filter: ListFilter) -> Result<Vec<Job>, QueueError> {
         let found = sqlx::query(select_jobs!(
-            "WHERE (?1 IS NULL OR j.state = ?1) AND (?2 IS NULL OR j.id < ?2) ORDER BY j.id DESC LIMIT ?3"
+            "WHERE (?1 IS NULL OR j.state = ?1) AND (?2 IS NULL OR j.id < ?2) AND (?3 IS NULL OR j.created_at >= ?3) \
+             AND (?4 IS NULL OR j.created_at < ?4) ORDER BY j.id DESC LIMIT ?5"
         ))
         .bind(filter.state.map(State::name))
         .bind(filter.before.map(|id| id.to_string()))
+        .bind(filter.created_from.map(|time| time.0))
+        .bind(filter.created_before.map(|time| time.0))
         .bind(filter.limit)
         .fetch_all(&self.readers)
         .await?;
@@ -82,8 +86,8 @@ impl SqliteQueue {
         let mut tx = self.write().await?;
         let now = self.env.now();
         let changed = sqlx::query(
-            "UPDATE jobs SET state = 'queued', attempt = 0, run_at = ?1, error = NULL, finished_at = NULL, \
-             expires_at = NULL, cancel_requested_at = NULL, updated_at = ?1, version = version + 1 \
+            "UPDATE jobs SET state = 'queued', attempt = 0, excused = 0, saved = 0, run_at = ?1, error = NULL, finished_at = NULL, \
+             deadline_at = ?1 + 1000 * json_extract(options, '$.deadline_secs'), expires_at = NULL, cancel_requested_at = NULL, updated_at = ?1, version = version + 1 \
              WHERE id = ?2 AND state IN ('failed', 'canceled') AND delete_requested_at IS NULL",
         )
         .bind(now.0)

@@ -22,7 +22,7 @@ use uuid::Uuid;
 
 use super::{
     Avatar, Change, Deletion, Env, Event, Job, JobError, Lease, ListFilter, NewAvatar, NewJob, Policy, ProgressReport,
-    Queue, QueueError, Reaped, StageTime, Standing, State,
+    Queue, QueueError, Reaped, Repeat, StageTime, Standing, State,
 };
 
 /// How long a writer waits for another process's transaction.
@@ -128,6 +128,10 @@ impl Queue for SqliteQueue {
         Box::pin(self.write_progress(lease, report))
     }
 
+    fn saved<'a>(&'a self, lease: &'a Lease, progress: f64) -> Answer<'a, Standing> {
+        Box::pin(self.write_saved(lease, progress))
+    }
+
     fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> Answer<'a, Standing> {
         Box::pin(self.write_stage_time(lease, stage, secs))
     }
@@ -136,7 +140,7 @@ impl Queue for SqliteQueue {
         Box::pin(self.publish(lease, avatar))
     }
 
-    fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: bool) -> Answer<'a, Standing> {
+    fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: Repeat) -> Answer<'a, Standing> {
         Box::pin(self.end_badly(lease, error, repeat))
     }
 

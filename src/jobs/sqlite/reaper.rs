@@ -2,7 +2,7 @@
 
 use uuid::Uuid;
 
-use super::super::{Job, JobError, QueueError, Reaped};
+use super::super::{Job, JobError, QueueError, Reaped, Repeat};
 use super::rows::{self, add_state_event, select_jobs};
 use super::{SqliteQueue, Tx};
 
@@ -12,6 +12,7 @@ impl SqliteQueue {
         // Most looks find nothing: they must not take the writer's lock.
         let work: bool = sqlx::query_scalar(
             "SELECT EXISTS (SELECT 1 FROM jobs WHERE lease_until <= ?1) \
+             OR EXISTS (SELECT 1 FROM jobs WHERE deadline_at <= ?1 AND finished_at IS NULL AND state != 'canceling') \
              OR EXISTS (SELECT 1 FROM jobs WHERE expires_at <= ?1 AND state != 'expired') \
              OR EXISTS (SELECT 1 FROM jobs WHERE delete_requested_at IS NOT NULL AND owner IS NULL)",
         )
@@ -22,16 +23,18 @@ impl SqliteQueue {
             return Ok(Reaped::default());
         }
         let mut tx = self.write().await?;
-        let late = sqlx::query(select_jobs!("WHERE j.lease_until <= ?")).bind(now).fetch_all(&mut *tx).await?;
-        let late = late.iter().map(rows::job).collect::<Result<Vec<Job>, _>>()?;
-        let reclaimed = self.take_back(&mut tx, &late, "its worker was silent for longer than the lease").await?;
+        let late = self.fail_late(&mut tx, now).await?;
+        let silent = sqlx::query(select_jobs!("WHERE j.lease_until <= ?")).bind(now).fetch_all(&mut *tx).await?;
+        let silent = silent.iter().map(rows::job).collect::<Result<Vec<Job>, _>>()?;
+        let reclaimed = self.take_back(&mut tx, &silent, "its worker was silent for longer than the lease").await?;
         let expired = self.expire(&mut tx, now).await?;
         let deleted: Vec<String> =
             sqlx::query_scalar("DELETE FROM jobs WHERE delete_requested_at IS NOT NULL AND owner IS NULL RETURNING id")
                 .fetch_all(&mut *tx)
                 .await?;
         tx.commit().await?;
-        Ok(Reaped { reclaimed, expired, deleted: deleted.iter().filter_map(|id| id.parse().ok()).collect() })
+        let deleted = deleted.iter().filter_map(|id| id.parse().ok()).collect();
+        Ok(Reaped { reclaimed, late, expired, deleted })
     }
 
     pub(super) async fn lease_owners(&self) -> Result<Vec<String>, QueueError> {
@@ -51,10 +54,26 @@ impl SqliteQueue {
 
     async fn take_back(&self, tx: &mut Tx, jobs: &[Job], why: &str) -> Result<Vec<Uuid>, QueueError> {
         for job in jobs {
-            let detail = format!("attempt {} of {} ended: {why}", job.attempt, job.max_attempts);
-            self.end_attempt(tx, job, &JobError::new("lease-lost", detail), true).await?;
+            let detail = format!("attempt {} ended: {why}", job.attempt);
+            self.end_attempt(tx, job, &JobError::new("lease-lost", detail), Repeat::Killed).await?;
         }
         Ok(jobs.iter().map(|job| job.id).collect())
+    }
+
+    /// A worker that has such a job finds its lease gone and stops.
+    async fn fail_late(&self, tx: &mut Tx, now: i64) -> Result<Vec<Uuid>, QueueError> {
+        let late =
+            sqlx::query(select_jobs!("WHERE j.deadline_at <= ? AND j.finished_at IS NULL AND j.state != 'canceling'"))
+                .bind(now)
+                .fetch_all(&mut **tx)
+                .await?;
+        let late = late.iter().map(rows::job).collect::<Result<Vec<Job>, _>>()?;
+        for job in &late {
+            let secs = job.options.deadline_secs.unwrap_or_default();
+            let detail = format!("the job was {} when its deadline of {secs} s passed", job.state.name());
+            self.end_attempt(tx, job, &JobError::new("deadline", detail), Repeat::Never).await?;
+        }
+        Ok(late.iter().map(|job| job.id).collect())
     }
 
     /// The files go; the row stays and tells what the job was.

@@ -4,7 +4,7 @@ use serde_json::json;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Row, Sqlite};
 
-use super::super::{EventKind, Job, JobError, Lease, NewAvatar, ProgressReport, QueueError, Standing, State};
+use super::super::{EventKind, Job, JobError, Lease, NewAvatar, ProgressReport, QueueError, Repeat, Standing, State};
 use super::rows::{self, add_event, add_state_event, to_json};
 use super::{SqliteQueue, Tx};
 
@@ -23,8 +23,9 @@ impl SqliteQueue {
         let mut tx = self.write().await?;
         let claimed = sqlx::query(
             "UPDATE jobs SET state = 'running', epoch = epoch + 1, attempt = attempt + 1, owner = ?1, lease_until = ?2, \
-             started_at = COALESCE(started_at, ?3), updated_at = ?3, version = version + 1 \
-             WHERE id = (SELECT id FROM jobs WHERE state = 'queued' AND run_at <= ?3 ORDER BY priority DESC, id LIMIT 1) \
+             saved_at_claim = saved, started_at = COALESCE(started_at, ?3), updated_at = ?3, version = version + 1 \
+             WHERE id = (SELECT id FROM jobs WHERE state = 'queued' AND run_at <= ?3 \
+             AND (deadline_at IS NULL OR deadline_at > ?3) ORDER BY priority DESC, id LIMIT 1) \
              RETURNING id, epoch",
         )
         .bind(owner)
@@ -100,6 +101,17 @@ impl SqliteQueue {
         Ok(held)
     }
 
+    pub(super) async fn write_saved(&self, lease: &Lease, progress: f64) -> Result<Standing, QueueError> {
+        let mut tx = self.write().await?;
+        let update = sqlx::query(
+            "UPDATE jobs SET saved = max(saved, ?3) WHERE id = ?1 AND epoch = ?2 AND owner IS NOT NULL RETURNING state",
+        );
+        let progress = if progress.is_finite() { progress.clamp(0.0, 1.0) } else { 0.0 };
+        let held = held(&mut tx, update, lease, |query| query.bind(progress)).await?;
+        tx.commit().await?;
+        Ok(held)
+    }
+
     pub(super) async fn write_stage_time(&self, lease: &Lease, stage: &str, secs: f64) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let held = self.current(&mut tx, lease).await?;
@@ -160,7 +172,12 @@ impl SqliteQueue {
         Ok(Standing::Held)
     }
 
-    pub(super) async fn end_badly(&self, lease: &Lease, error: JobError, repeat: bool) -> Result<Standing, QueueError> {
+    pub(super) async fn end_badly(
+        &self,
+        lease: &Lease,
+        error: JobError,
+        repeat: Repeat,
+    ) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let Some(job) = self.current(&mut tx, lease).await? else { return Ok(Standing::Lost) };
         self.end_attempt(&mut tx, &job, &error, repeat).await?;
@@ -206,23 +223,29 @@ impl SqliteQueue {
         tx: &mut Tx,
         job: &Job,
         error: &JobError,
-        repeat: bool,
+        repeat: Repeat,
     ) -> Result<(), QueueError> {
         let lease = Lease { job: job.id, epoch: job.epoch };
         let now = self.env.now();
         if job.state == State::Canceling {
             self.set_canceled(tx, &lease).await?;
-        } else if repeat && job.attempt < job.max_attempts {
-            let run_at = now.plus(self.policy.backoff_after(job.attempt, self.env.unit()));
+            let job = rows::read(tx, job.id).await?.ok_or(sqlx::Error::RowNotFound)?;
+            return add_state_event(tx, &job).await;
+        }
+        let excused = job.excused + u32::from(repeat == Repeat::Killed && job.saved > job.saved_at_claim);
+        let counted = job.attempt - excused;
+        if repeat != Repeat::Never && counted < job.max_attempts {
+            let run_at = now.plus(self.policy.backoff_after(counted, self.env.unit()));
             sqlx::query(
                 "UPDATE jobs SET state = 'queued', owner = NULL, lease_until = NULL, run_at = ?3, error = ?4, \
-                 eta_secs = NULL, updated_at = ?5, version = version + 1 WHERE id = ?1 AND epoch = ?2",
+                 eta_secs = NULL, updated_at = ?5, excused = ?6, version = version + 1 WHERE id = ?1 AND epoch = ?2",
             )
             .bind(job.id.to_string())
             .bind(job.epoch)
             .bind(run_at.0)
             .bind(to_json(error))
             .bind(now.0)
+            .bind(excused)
             .execute(&mut **tx)
             .await?;
         } else {

@@ -1,9 +1,9 @@
 //! The stages in order.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Instant, SystemTime};
 
 use anyhow::anyhow;
 
@@ -38,7 +38,8 @@ pub fn run(
     out_dir: &Path,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, PipelineError> {
-    let mut monitor = Monitor::new(gpu, observer);
+    let checkpoint = work_dir.join("checkpoint.npz");
+    let mut monitor = Monitor::new(gpu, observer, &checkpoint);
     let config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
     let body = load_body(data_dir, &input.options.body)?;
@@ -47,7 +48,6 @@ pub fn run(
     let start = solve_poses(&body, &capture, input.options.height_m, &mut monitor)?;
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
-    let checkpoint = work_dir.join("checkpoint.npz");
     // A checkpoint that cannot be read is worth no more than none.
     let state = match checkpoint.exists() {
         true => fresh.resume(&checkpoint).ok().flatten().unwrap_or(fresh),
@@ -137,10 +137,15 @@ pub(super) struct Monitor<'a> {
     /// The first step of the stage in this run: a resumed one does not begin at zero.
     first_step: Option<u32>,
     losses: BTreeMap<String, f64>,
+    /// Of the whole job.
+    progress: f32,
+    checkpoint: PathBuf,
+    /// When the checkpoint was written that was last told of.
+    saved: Option<SystemTime>,
 }
 
 impl<'a> Monitor<'a> {
-    fn new(gpu: &'a Arc<Gpu>, observer: &'a mut dyn Observer) -> Self {
+    fn new(gpu: &'a Arc<Gpu>, observer: &'a mut dyn Observer, checkpoint: &Path) -> Self {
         Self {
             gpu,
             observer,
@@ -151,6 +156,9 @@ impl<'a> Monitor<'a> {
             stage_started: Instant::now(),
             first_step: None,
             losses: BTreeMap::new(),
+            progress: 0.0,
+            checkpoint: checkpoint.into(),
+            saved: written(checkpoint),
         }
     }
 
@@ -176,6 +184,11 @@ impl<'a> Monitor<'a> {
     }
 
     fn go_on(&mut self) -> bool {
+        let saved = written(&self.checkpoint);
+        if saved != self.saved {
+            self.saved = saved;
+            self.observer.saved(self.progress);
+        }
         self.observer.idle(self.gpu);
         self.stopped = self.stopped.or_else(|| self.observer.stop());
         self.stopped.is_none()
@@ -186,6 +199,7 @@ impl<'a> Monitor<'a> {
         let share = SHARES.iter().find(|(s, _)| *s == stage).map_or(0.0, |(_, share)| *share);
         let done = step as f32 / steps.max(1) as f32;
         let progress = (before + share * done).min(1.0);
+        self.progress = progress;
         let first = *self.first_step.get_or_insert(step);
         let elapsed = self.stage_started.elapsed().as_secs_f64();
         // The rest of this stage at its pace so far, and the later stages by their shares.
@@ -196,6 +210,11 @@ impl<'a> Monitor<'a> {
         let losses = self.losses.clone();
         self.observer.progress(&Progress { stage, step, steps, progress, eta_secs, losses });
     }
+}
+
+/// When a file was written, if it is there.
+fn written(path: &Path) -> Option<SystemTime> {
+    path.metadata().and_then(|meta| meta.modified()).ok()
 }
 
 impl Control for Monitor<'_> {

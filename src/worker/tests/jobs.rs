@@ -29,7 +29,7 @@ async fn a_fit_becomes_an_avatar() {
     let times = bench.queue.stage_times().await.unwrap();
     assert_eq!(times.iter().map(|t| t.stage.as_str()).collect::<Vec<_>>(), ["decode", "export"]);
     shutdown.send(true).unwrap();
-    worker.await.unwrap();
+    worker.await.unwrap().unwrap();
     assert!(!bench.store.work(id).exists(), "checkpoints of a finished job are removed");
     assert_eq!(fs::read(bench.store.results(id, avatar.epoch).join("avatar.glb")).unwrap(), b"glTF");
 }
@@ -128,7 +128,7 @@ async fn a_shutdown_gives_the_job_back_to_the_next_worker() {
     });
     bench.until(id, State::Running).await;
     shutdown.send(true).unwrap();
-    worker.await.unwrap();
+    worker.await.unwrap().unwrap();
     let job = bench.until(id, State::Queued).await;
     assert_eq!(job.attempt, 0, "a shutdown is no attempt");
     let (_shutdown, _worker) = bench.worker(|task, _| {
@@ -185,4 +185,78 @@ async fn only_the_dead_lose_their_leases_at_once() {
     reaper.round().await.unwrap();
     bench.until(one, State::Queued).await;
     bench.until(two, State::Running).await;
+}
+
+#[tokio::test]
+async fn a_fit_that_hangs_ends_its_attempt_and_its_process() {
+    let bench = Bench::new().await;
+    let id = bench.add().await;
+    let settings = WorkerSettings { poll: Duration::from_millis(5), stall: Duration::from_millis(50) };
+    let (_shutdown, worker) = bench.worker_with(settings, |_, observer| {
+        observer.progress(&progress(Stage::Geometry, 1));
+        loop {
+            std::thread::park();
+        }
+    });
+    let hung = worker.await.unwrap().unwrap_err();
+    assert_eq!(hung.job, id);
+    let job = bench.until(id, State::Queued).await;
+    let error = job.error.unwrap();
+    assert_eq!((error.kind.as_str(), job.attempt), ("stalled", 1));
+    assert!(error.detail.contains("geometry"), "{}", error.detail);
+}
+
+#[tokio::test]
+async fn a_step_that_takes_long_does_not_keep_a_user_waiting() {
+    let bench = Bench::new().await;
+    let (slow, next) = (bench.add().await, bench.add().await);
+    let (let_go, gate) = std::sync::mpsc::channel::<()>();
+    let gate = Mutex::new(gate);
+    let (_shutdown, _worker) = bench.worker(move |task, observer| {
+        if task.out_dir.to_string_lossy().contains(&slow.to_string()) {
+            observer.progress(&progress(Stage::Geometry, 1));
+            // One step.
+            gate.lock().unwrap().recv().unwrap();
+            return Err(PipelineError::Stopped(observer.stop().unwrap()));
+        }
+        fs::write(task.out_dir.join("avatar.glb"), b"glTF").unwrap();
+        Ok(outcome())
+    });
+    bench.until(slow, State::Running).await;
+    let wished = std::time::Instant::now();
+    bench.queue.cancel(slow).await.unwrap();
+    bench.until(slow, State::Canceled).await;
+    assert!(wished.elapsed() < Duration::from_secs(2), "{:?}", wished.elapsed());
+    assert_eq!(bench.queue.get(next).await.unwrap().unwrap().state, State::Queued, "the device is still taken");
+    let_go.send(()).unwrap();
+    bench.until(next, State::Succeeded).await;
+    assert!(!bench.store.results(slow, 1).exists());
+}
+
+#[tokio::test]
+async fn a_fit_stops_when_its_deadline_has_passed() {
+    let bench = Bench::new().await;
+    let options = JobOptions { deadline_secs: Some(1), ..JobOptions::default() };
+    let id = bench.add_with(options).await;
+    let (_shutdown, _worker) = bench.worker(|task, observer| {
+        let end = endless(task, observer);
+        fs::write(task.out_dir.join("avatar.glb"), b"late").unwrap();
+        end
+    });
+    bench.until(id, State::Running).await;
+    let reaper = Reaper { queue: bench.queue.clone(), store: bench.store.clone() };
+    let job = loop {
+        reaper.round().await.unwrap();
+        let job = bench.queue.get(id).await.unwrap().unwrap();
+        if job.state == State::Failed {
+            break job;
+        }
+        tokio::task::yield_now().await;
+    };
+    assert_eq!(job.error.unwrap().kind, "deadline");
+    // The worker is free for the next one.
+    bench.add_with(JobOptions { deadline_secs: None, ..JobOptions::default() }).await;
+    while bench.store.results(id, 1).exists() {
+        tokio::task::yield_now().await;
+    }
 }

@@ -73,6 +73,10 @@ impl Bench {
     }
 
     async fn add(&self) -> Uuid {
+        self.add_with(JobOptions::default()).await
+    }
+
+    async fn add_with(&self, options: JobOptions) -> Uuid {
         let id = self.env.new_id();
         let upload = self.store.begin_upload().unwrap();
         let mut part = upload.part("video").await.unwrap();
@@ -81,7 +85,7 @@ impl Bench {
         self.store.commit_upload(upload, id).unwrap();
         let inputs = BTreeMap::from([("video".to_string(), Part { bytes: 4 })]);
         let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0 };
-        self.queue.insert(NewJob { id, options: JobOptions::default(), inputs, clip }).await.unwrap();
+        self.queue.insert(NewJob { id, options, inputs, clip }).await.unwrap();
         id
     }
 
@@ -89,14 +93,22 @@ impl Bench {
     fn worker(
         &self,
         script: impl Fn(&FitTask, &mut dyn Observer) -> Result<Outcome, PipelineError> + Send + Sync + 'static,
-    ) -> (watch::Sender<bool>, tokio::task::JoinHandle<()>) {
+    ) -> (watch::Sender<bool>, tokio::task::JoinHandle<Result<(), Hung>>) {
+        self.worker_with(WorkerSettings { poll: Duration::from_millis(5), ..WorkerSettings::default() }, script)
+    }
+
+    fn worker_with(
+        &self,
+        settings: WorkerSettings,
+        script: impl Fn(&FitTask, &mut dyn Observer) -> Result<Outcome, PipelineError> + Send + Sync + 'static,
+    ) -> (watch::Sender<bool>, tokio::task::JoinHandle<Result<(), Hung>>) {
         let (shutdown, stopped) = watch::channel(false);
         let worker = Worker {
             queue: self.queue.clone(),
             store: self.store.clone(),
             device: DeviceThread::start(ScriptedEngine(Arc::new(script))).unwrap(),
             owner: Owner::new(&self.store.workers(), self.env.new_id()).unwrap(),
-            settings: WorkerSettings { poll: Duration::from_millis(5) },
+            settings,
         };
         (shutdown, tokio::spawn(worker.run(stopped)))
     }

@@ -1,6 +1,6 @@
 //! `/v1/jobs` beyond the upload.
 
-use effigy::jobs::{JobError, ProgressReport};
+use effigy::jobs::{JobError, ProgressReport, Repeat};
 
 use super::*;
 
@@ -45,7 +45,11 @@ async fn an_unchanged_job_is_304() {
 #[tokio::test]
 async fn the_list_filters_and_pages() {
     let bench = Bench::new().await;
-    let ids = [bench.add_job().await, bench.add_job().await, bench.add_job().await];
+    let mut ids = Vec::new();
+    for _ in 0..3 {
+        ids.push(bench.add_job().await);
+        tokio::time::sleep(std::time::Duration::from_millis(2)).await;
+    }
     bench.post(&format!("/v1/jobs/{}/cancel", ids[0])).await;
     let page = bench.get("/v1/jobs?limit=2").await.json();
     let listed = |page: &Value| -> Vec<String> {
@@ -55,7 +59,13 @@ async fn the_list_filters_and_pages() {
     let next = bench.get(&format!("/v1/jobs?limit=2&cursor={}", page["next"].as_str().unwrap())).await.json();
     assert_eq!((listed(&next), &next["next"]), (vec![ids[0].to_string()], &Value::Null));
     assert_eq!(listed(&bench.get("/v1/jobs?state=canceled").await.json()), [ids[0].to_string()]);
-    for query in ["state=lost", "limit=0", "limit=1000", "cursor=x", "color=red"] {
+    let middle = bench.get(&format!("/v1/jobs/{}", ids[1])).await.json()["created_at"].as_str().unwrap().to_string();
+    let both = [ids[2].to_string(), ids[1].to_string()];
+    assert_eq!(listed(&bench.get(&format!("/v1/jobs?created_from={middle}")).await.json()), both);
+    assert_eq!(listed(&bench.get(&format!("/v1/jobs?created_before={middle}")).await.json()), [ids[0].to_string()]);
+    let paged = format!("/v1/jobs?created_from={middle}&limit=1&cursor={}", ids[2]);
+    assert_eq!(listed(&bench.get(&paged).await.json()), both[1..]);
+    for query in ["state=lost", "limit=0", "limit=1000", "cursor=x", "color=red", "created_from=yesterday"] {
         bench.get(&format!("/v1/jobs?{query}")).await.problem(400);
     }
 }
@@ -96,7 +106,7 @@ async fn a_failed_job_tells_why() {
     let lease = bench.claim().await;
     let mut error = JobError::new("diverged", "the offsets are not finite");
     error.losses.insert("rgb".into(), 12.0);
-    bench.queue.fail(&lease, error, false).await.unwrap();
+    bench.queue.fail(&lease, error, Repeat::Never).await.unwrap();
     let job = bench.get(&format!("/v1/jobs/{id}")).await.json();
     assert_eq!((&job["state"], &job["avatar"]), (&json!("failed"), &Value::Null));
     let error = json!({ "type": "diverged", "detail": "the offsets are not finite", "losses": { "rgb": 12.0 } });

@@ -5,6 +5,7 @@ mod events;
 mod jobs;
 mod openapi;
 mod process;
+mod rehearsal;
 mod renders;
 mod resume;
 mod uploads;
@@ -100,7 +101,8 @@ impl Bench {
         // The API only asks whether the body is there.
         std::fs::write(store.bodies().join("default.body.npz"), b"").unwrap();
         let env = Env::system();
-        let queue = SqliteQueue::open(&store.database(), env.clone(), Policy::default()).await.unwrap();
+        let policy = Policy { backoff: std::time::Duration::from_millis(10), ..Policy::default() };
+        let queue = SqliteQueue::open(&store.database(), env.clone(), policy).await.unwrap();
         let queue: Arc<dyn Queue> = Arc::new(queue);
         let draws =
             Arc::new(Draws { folder: store.renders(), asked: Mutex::default(), answer: Mutex::new(Ok(b"drawn")) });
