@@ -12,11 +12,15 @@ pub enum SilhouetteGradient {
     Edge,
 }
 
-/// Weights λ of the losses. Image sums are divided by the frame's foreground pixels first, keypoints by their number
-/// and the square of a hundredth of the image side, mesh sums by the number of faces: one set serves all resolutions.
+/// Weights λ of the losses of a stage. Image sums are divided by the frame's foreground pixels first, keypoints by their
+/// number and the square of a hundredth of the image side, mesh sums by the number of faces: one set serves all
+/// resolutions. A term of weight zero is not computed.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Weights {
+    /// On the hard image.
     pub rgb: f32,
+    /// On SoftRas' image.
+    pub rgb_soft: f32,
     pub silhouette: f32,
     pub keypoints: f32,
     pub normal_consistency: f32,
@@ -24,6 +28,13 @@ pub struct Weights {
     pub laplacian: f32,
     /// On accelerations, a frame.
     pub motion: f32,
+}
+
+impl Weights {
+    /// Whether any image of the colours is compared.
+    pub fn compare_colours(&self) -> bool {
+        self.rgb != 0.0 || self.rgb_soft != 0.0
+    }
 }
 
 /// Learning rates (Adam), at the start of a stage.
@@ -62,6 +73,15 @@ pub struct Phase {
     pub pose_rate: f32,
 }
 
+/// One stage: what it weighs, what it moves, and for how long.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct StageConfig {
+    pub weights: Weights,
+    /// Whether β and D are fitted; else they stand, and the terms that look at the mesh alone do not count.
+    pub shape: bool,
+    pub phases: Vec<Phase>,
+}
+
 /// Everything that a fit depends on besides the clip and the body.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct FitConfig {
@@ -69,42 +89,42 @@ pub struct FitConfig {
     /// Frames a step.
     pub batch: usize,
     pub silhouette_gradient: SilhouetteGradient,
-    pub weights: Weights,
     pub rates: Rates,
-    pub geometry: Vec<Phase>,
-    pub texture: Vec<Phase>,
+    /// Stage 1, with one colour a face.
+    pub geometry: StageConfig,
+    /// Stage 2, with the hash texture.
+    pub texture: StageConfig,
     /// Part of the covered pixels that a texture step looks at.
     pub pixel_rate: f32,
-    #[serde(skip)]
     pub field: TextureFieldConfig,
 }
 
 impl FitConfig {
+    /// The phases of all stages.
+    pub fn phases(&self) -> impl Iterator<Item = &Phase> {
+        self.geometry.phases.iter().chain(&self.texture.phases)
+    }
+
     /// A first look: half resolution, few passes.
     pub fn draft(seed: u64) -> Self {
-        let standard = Self::standard(seed);
-        Self {
-            geometry: vec![Phase { epochs: 6, offsets: false, ..COARSE }, Phase { epochs: 14, ..COARSE }],
-            texture: vec![Phase { epochs: 8, pose_rate: 0.3, ..FINE }],
-            ..standard
-        }
+        let mut config = Self::standard(seed);
+        config.geometry.phases = vec![Phase { epochs: 6, offsets: false, ..COARSE }, Phase { epochs: 14, ..COARSE }];
+        config.texture.phases = vec![Phase { epochs: 8, pose_rate: 0.3, ..FINE }];
+        config
     }
 
     /// Good quality in minutes on two cores.
     pub fn standard(seed: u64) -> Self {
+        let geometry = vec![
+            Phase { epochs: 12, offsets: false, ..COARSE },
+            Phase { epochs: 30, ..COARSE },
+            Phase { epochs: 30, diffusion: 4, rate: 0.7, ..FINE },
+        ];
+        let texture = vec![Phase { epochs: 15, pose_rate: 0.3, ..FINE }];
         Self {
             seed,
             batch: 4,
             silhouette_gradient: SilhouetteGradient::Edge,
-            weights: Weights {
-                rgb: 1.0,
-                silhouette: 2.0,
-                keypoints: 0.02,
-                normal_consistency: 0.2,
-                face_area: 0.02,
-                laplacian: 0.5,
-                motion: 2e-3,
-            },
             rates: Rates {
                 betas: 1e-2,
                 pose: 4e-3,
@@ -114,12 +134,8 @@ impl FitConfig {
                 texcoords: 2e-4,
                 field: 1e-2,
             },
-            geometry: vec![
-                Phase { epochs: 12, offsets: false, ..COARSE },
-                Phase { epochs: 30, ..COARSE },
-                Phase { epochs: 30, diffusion: 4, rate: 0.7, ..FINE },
-            ],
-            texture: vec![Phase { epochs: 15, pose_rate: 0.3, ..FINE }],
+            geometry: StageConfig { weights: GEOMETRY, shape: true, phases: geometry },
+            texture: StageConfig { weights: TEXTURE, shape: false, phases: texture },
             pixel_rate: 0.5,
             field: TextureFieldConfig::default(),
         }
@@ -127,22 +143,32 @@ impl FitConfig {
 
     /// The paper's method as far as it tells: NMR silhouettes, plain offsets, full resolution throughout.
     pub fn paper(seed: u64) -> Self {
-        let standard = Self::standard(seed);
+        let mut config = Self::standard(seed);
         let plain = Phase { diffusion: 0, ..FINE };
-        let weights = Weights { motion: 0.0, ..standard.weights.clone() };
-        Self {
-            weights,
-            silhouette_gradient: SilhouetteGradient::Nmr,
-            geometry: vec![
-                Phase { epochs: 10, offsets: false, ..plain.clone() },
-                Phase { epochs: 40, ..plain.clone() },
-            ],
-            texture: vec![Phase { epochs: 40, pose_rate: 0.3, ..plain }],
-            pixel_rate: 1.0,
-            ..standard
-        }
+        config.silhouette_gradient = SilhouetteGradient::Nmr;
+        config.geometry.weights.motion = 0.0;
+        config.geometry.phases =
+            vec![Phase { epochs: 10, offsets: false, ..plain.clone() }, Phase { epochs: 40, ..plain.clone() }];
+        config.texture.weights.motion = 0.0;
+        config.texture.phases = vec![Phase { epochs: 40, pose_rate: 0.3, ..plain }];
+        config.pixel_rate = 1.0;
+        config
     }
 }
+
+const GEOMETRY: Weights = Weights {
+    rgb: 1.0,
+    rgb_soft: 1.0,
+    silhouette: 2.0,
+    keypoints: 0.02,
+    normal_consistency: 0.2,
+    face_area: 0.02,
+    laplacian: 0.5,
+    motion: 2e-3,
+};
+
+const TEXTURE: Weights =
+    Weights { keypoints: 0.0, normal_consistency: 0.0, face_area: 0.0, laplacian: 0.0, ..GEOMETRY };
 
 const COARSE: Phase = Phase {
     epochs: 0,
@@ -156,3 +182,16 @@ const COARSE: Phase = Phase {
 };
 
 const FINE: Phase = Phase { level: 0, sigma: 2e-5, depth_softness_m: 0.01, ..COARSE };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_configuration_comes_back_from_json() {
+        for config in [FitConfig::draft(1), FitConfig::standard(2), FitConfig::paper(3)] {
+            let json = serde_json::to_string(&config).unwrap();
+            assert_eq!(serde_json::from_str::<FitConfig>(&json).unwrap(), config);
+        }
+    }
+}

@@ -1,7 +1,11 @@
 //! Parameter groups: values, gradients and optimiser state on the device.
 
+use super::config::Rates;
+use super::schedule::Step;
+use super::state::FitState;
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::adam::{Adam, AdamConfig, UniformAdam};
+use crate::ops::skinning::PoseAt;
 
 /// A group that moves as a whole, or frame by frame.
 pub struct Group {
@@ -79,5 +83,46 @@ impl VertexGroup {
 
     pub fn read(&self, gpu: &Gpu) -> Result<Vec<f32>, GpuError> {
         gpu.read(&self.values)
+    }
+}
+
+/// Pose and placement of all frames: the paper's θᵢ, Rᵢ and tᵢ.
+pub struct PoseGroups {
+    pub poses: Group,
+    pub transl: Group,
+}
+
+impl PoseGroups {
+    pub fn new(gpu: &Gpu, state: &FitState) -> Self {
+        let config = AdamConfig::default();
+        Self {
+            poses: Group::per_frame(gpu, "poses", &state.poses, 72, config),
+            transl: Group::per_frame(gpu, "transl", &state.transl, 3, config),
+        }
+    }
+
+    pub fn at(&self, frame: usize) -> PoseAt<'_> {
+        PoseAt { poses: &self.poses.values, transl: &self.transl.values, frame }
+    }
+
+    pub fn grad_at(&self, frame: usize) -> PoseAt<'_> {
+        PoseAt { poses: &self.poses.grads, transl: &self.transl.grads, frame }
+    }
+
+    pub fn clear(&self, recorder: &mut Recorder<'_>) {
+        self.poses.clear(recorder);
+        self.transl.clear(recorder);
+    }
+
+    pub(super) fn step(&mut self, recorder: &mut Recorder<'_>, rates: &Rates, step: &Step<'_>) {
+        let rate = step.rate * step.phase.pose_rate;
+        self.poses.step(recorder, step.frames, rates.pose * rate);
+        self.transl.step(recorder, step.frames, rates.transl * rate);
+    }
+
+    pub fn read_into(&self, gpu: &Gpu, state: &mut FitState) -> Result<(), GpuError> {
+        state.poses = self.poses.read(gpu)?;
+        state.transl = self.transl.read(gpu)?;
+        Ok(())
     }
 }

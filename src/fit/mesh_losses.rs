@@ -2,9 +2,9 @@
 //! smoothness of D.
 
 use super::config::Weights;
+use super::losses::{Losses, Term};
 use crate::body::Body;
 use crate::gpu::{Buffer, Gpu, Recorder};
-use crate::ops::LossSlot;
 use crate::ops::face_area::FaceArea;
 use crate::ops::face_normals::FaceNormals;
 use crate::ops::laplacian::Laplacian;
@@ -25,14 +25,6 @@ pub struct MeshLosses {
     n_vertices: usize,
 }
 
-/// Where the values go.
-#[derive(Clone, Copy)]
-pub struct MeshSlots {
-    pub normal_consistency: usize,
-    pub face_area: usize,
-    pub laplacian: usize,
-}
-
 impl MeshLosses {
     pub fn new(gpu: &Gpu, body: &Body, topology: &Topology) -> Self {
         let face_normals = FaceNormals::new(gpu, &body.faces, topology);
@@ -50,7 +42,6 @@ impl MeshLosses {
     }
 
     /// Records values and gradients; adds to `shape.grad_v_deformed` and `grad_offsets`.
-    #[expect(clippy::too_many_arguments, reason = "the operands of three losses")]
     pub fn record(
         &self,
         recorder: &mut Recorder<'_>,
@@ -58,26 +49,32 @@ impl MeshLosses {
         shape: &ShapeState,
         offsets: &Buffer<f32>,
         grad_offsets: &Buffer<f32>,
-        losses: &Buffer<f32>,
-        slots: MeshSlots,
+        losses: &Losses,
     ) {
-        let slot = |index| LossSlot::new(losses, index);
+        if weights.normal_consistency != 0.0 || weights.face_area != 0.0 {
+            self.record_faces(recorder, weights, shape, losses);
+        }
+        if weights.laplacian != 0.0 {
+            self.laplacian.forward(recorder, offsets, losses.slot(Term::Laplacian));
+            // In square centimetres a vertex.
+            self.laplacian.backward(recorder, weights.laplacian * 1e4 / self.n_vertices as f32, grad_offsets);
+        }
+    }
+
+    fn record_faces(&self, recorder: &mut Recorder<'_>, weights: &Weights, shape: &ShapeState, losses: &Losses) {
         let Self { normals, rest_normals, grad_normals, .. } = self;
+        let n = self.n_faces as f32;
         self.face_normals.forward(recorder, &shape.v_deformed, normals);
-        self.face_normals.forward(recorder, &shape.v_shaped, rest_normals);
         recorder.clear(grad_normals);
-        self.normal_consistency.forward(recorder, normals, slot(slots.normal_consistency));
-        self.normal_consistency.backward(
-            recorder,
-            normals,
-            weights.normal_consistency / self.n_faces as f32,
-            grad_normals,
-        );
-        self.face_area.forward(recorder, normals, rest_normals, slot(slots.face_area));
-        self.face_area.backward(recorder, normals, rest_normals, weights.face_area / self.n_faces as f32, grad_normals);
+        if weights.normal_consistency != 0.0 {
+            self.normal_consistency.forward(recorder, normals, losses.slot(Term::NormalConsistency));
+            self.normal_consistency.backward(recorder, normals, weights.normal_consistency / n, grad_normals);
+        }
+        if weights.face_area != 0.0 {
+            self.face_normals.forward(recorder, &shape.v_shaped, rest_normals);
+            self.face_area.forward(recorder, normals, rest_normals, losses.slot(Term::FaceArea));
+            self.face_area.backward(recorder, normals, rest_normals, weights.face_area / n, grad_normals);
+        }
         self.face_normals.backward(recorder, &shape.v_deformed, grad_normals, &shape.grad_v_deformed);
-        self.laplacian.forward(recorder, offsets, slot(slots.laplacian));
-        // In square centimetres a vertex.
-        self.laplacian.backward(recorder, weights.laplacian * 1e4 / self.n_vertices as f32, grad_offsets);
     }
 }

@@ -1,22 +1,24 @@
 //! The fit of a body and its looks to a clip (paper §3): stage 0 on the CPU finds poses and shape from keypoints and
 //! masks, stage 1 on the device fits geometry with one colour a face, stage 2 the hash texture.
 
-mod colours;
 pub mod config;
 mod control;
+mod frame_step;
 mod frames;
-mod geometry;
 mod groups;
 mod keypoint_term;
+mod look;
 mod losses;
 mod mesh_losses;
 mod motion;
 mod scene;
+mod schedule;
+mod shape;
 mod silhouette;
 mod soft;
+mod stage;
 pub mod stage0;
 mod state;
-mod texture;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -32,6 +34,8 @@ use crate::gpu::{Gpu, GpuError};
 use crate::npz::NpzError;
 use crate::ops::Topology;
 use scene::Scene;
+use schedule::Outside;
+use stage::StageWork;
 
 /// Why a fit did not end.
 #[derive(Debug, thiserror::Error)]
@@ -50,6 +54,15 @@ pub enum FitError {
     Checkpoint(#[from] NpzError),
 }
 
+/// What a fit reads.
+struct Inputs<'a> {
+    body: &'a Body,
+    topology: &'a Topology,
+    capture: &'a Capture,
+    camera: &'a Camera,
+    config: &'a FitConfig,
+}
+
 /// Runs stages 1 and 2 from `state` on; `camera` is stage 0's. The state of every checkpoint goes to `checkpoint`.
 #[expect(clippy::too_many_arguments, reason = "a fit reads a body, a clip, its settings and its controls")]
 pub fn run(
@@ -62,24 +75,34 @@ pub fn run(
     checkpoint: &Path,
     control: &mut dyn Control,
 ) -> Result<FitState, FitError> {
-    let n_levels = config.geometry.iter().chain(&config.texture).map(|p| p.level + 1).max().unwrap_or(1);
+    let n_levels = config.phases().map(|p| p.level + 1).max().unwrap_or(1);
     let frames = frames::upload(gpu, capture, camera, n_levels);
-    let topology = Topology::new(body.n_vertices(), &body.faces);
-    let scene = Scene::new(gpu, body, &topology, frames, camera, &state.transl);
-    if state.stage == Stage::Geometry {
-        geometry::run(&scene, body, &topology, capture, camera, config, &mut state, checkpoint, control)?;
-        check_finite(&state)?;
-        state.stage = Stage::Texture;
-        state.step = 0;
-        state.save(checkpoint)?;
-    }
-    if state.stage == Stage::Texture {
-        texture::run(&scene, config, &mut state, checkpoint, control)?;
-        check_finite(&state)?;
-        state.stage = Stage::Done;
-        state.save(checkpoint)?;
+    let topology = &Topology::new(body.n_vertices(), &body.faces);
+    let scene = Scene::new(gpu, body, topology, frames, camera, &state.transl);
+    let inputs = Inputs { body, topology, capture, camera, config };
+    let mut outside = Outside { checkpoint, control };
+    for (stage, next) in [(Stage::Geometry, Stage::Texture), (Stage::Texture, Stage::Done)] {
+        if state.stage == stage {
+            run_stage(&scene, &inputs, &mut state, &mut outside)?;
+            state.stage = next;
+            state.step = 0;
+            state.save(checkpoint)?;
+        }
     }
     Ok(state)
+}
+
+fn run_stage(
+    scene: &Scene,
+    inputs: &Inputs<'_>,
+    state: &mut FitState,
+    outside: &mut Outside<'_>,
+) -> Result<(), FitError> {
+    let config = inputs.config;
+    let stage = if state.stage == Stage::Geometry { &config.geometry } else { &config.texture };
+    let mut work = StageWork::new(scene, inputs, state)?;
+    schedule::run(scene, config, &stage.phases, &mut work, state, outside)?;
+    check_finite(state)
 }
 
 /// The losses of a step may still be finite when its update is not.

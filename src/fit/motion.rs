@@ -1,6 +1,6 @@
 //! Smooth motion of the person over time, for both stages: a frame alone says little about its depth.
 
-use super::groups::Group;
+use super::groups::PoseGroups;
 use crate::gpu::{Gpu, Recorder};
 use crate::ops::temporal::{Temporal, TemporalConfig};
 
@@ -19,7 +19,8 @@ impl Motion {
     }
 
     /// Adds the gradients, times `weight` a frame.
-    pub fn record(&self, recorder: &mut Recorder<'_>, weight: f32, poses: &Group, transl: &Group) {
+    pub fn record(&self, recorder: &mut Recorder<'_>, weight: f32, groups: &PoseGroups) {
+        let PoseGroups { poses, transl } = groups;
         self.pose.backward(recorder, &poses.values, weight, &poses.grads);
         self.transl.backward(recorder, &transl.values, weight, &transl.grads);
     }

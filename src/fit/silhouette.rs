@@ -3,13 +3,13 @@
 //! many shares add up outside the outline, and the fit shrinks by about a pixel all round.
 
 use super::config::SilhouetteGradient;
-use super::frames::FrameLevel;
+use super::frame_step::FrameStep;
+use super::losses::{Losses, Term};
 use super::scene::Scene;
 use crate::gpu::{Buffer, Recorder};
 use crate::ops::edge_gradient::{EdgeGradient, RgbGradient};
 use crate::ops::nmr::{Nmr, NmrConfig};
 use crate::ops::silhouette_iou::SilhouetteIou;
-use crate::ops::{LossSlot, Target};
 
 /// Metres between a surface and what it hides, for a border to count.
 const MIN_STEP: f64 = 0.02;
@@ -40,22 +40,26 @@ impl SilhouetteTerm {
     }
 
     /// Records the loss of the scene's last hard image and adds its gradient to `grad_view`. With `rgb`, a colour image
-    /// and its gradient, borders between parts of the body are moved by the colours too.
-    #[expect(clippy::too_many_arguments, reason = "the operands of the loss")]
-    pub fn record(
+    /// and its gradient, edge gradients move the borders between parts of the body by the colours too.
+    pub(super) fn record(
         &self,
         recorder: &mut Recorder<'_>,
         scene: &Scene,
-        level: &FrameLevel,
-        target: Target<'_>,
-        weight: f32,
+        frame: &FrameStep<'_>,
         rgb: Option<RgbGradient<'_>>,
-        slot: LossSlot<'_>,
+        losses: &Losses,
     ) {
-        let n = level.camera.n_pixels();
-        self.iou.forward(recorder, n, &scene.hard.alpha, target, slot);
+        let (level, n) = (frame.level, frame.level.camera.n_pixels());
+        let weight = frame.part * frame.weights.silhouette;
+        let rgb = rgb.filter(|_| matches!(self.border, Border::Edge(_)));
+        if weight == 0.0 && rgb.is_none() {
+            return;
+        }
         recorder.clear(&self.grad_alpha);
-        self.iou.backward(recorder, n, target, weight, &self.grad_alpha);
+        if weight != 0.0 {
+            self.iou.forward(recorder, n, &scene.hard.alpha, frame.target(), losses.slot(Term::Silhouette));
+            self.iou.backward(recorder, n, frame.target(), weight, &self.grad_alpha);
+        }
         let (hard, view, grad_view) = (&scene.hard, &scene.view, &scene.grad_view);
         match &self.border {
             Border::Nmr(nmr) => nmr.backward(recorder, hard, &level.camera, view, None, &self.grad_alpha, grad_view),

@@ -1,19 +1,18 @@
 //! One colour a face in closed form: for fixed geometry the mean over all pixels that show the face minimises the
 //! squared error, and needs no learning rate. Stage 1 starts from it and goes on by gradient.
 
-use super::scene::Scene;
-use crate::gpu::{Buffer, GpuError};
-use crate::ops::skinning::PoseAt;
+use crate::fit::groups::PoseGroups;
+use crate::fit::scene::Scene;
+use crate::gpu::GpuError;
 
-/// Mean colours `[F, 3]` over all frames at `level`, and how many pixels showed each face. A face that no pixel showed
-/// takes the mean of its neighbours, from the seen ones outwards.
-pub(super) fn mean_face_colours(
+/// Mean colours `[F, 3]` over all frames at `level`, for the scene's shape. A face that no pixel showed takes the mean of
+/// its neighbours, from the seen ones outwards.
+pub fn mean_face_colours(
     scene: &Scene,
     faces: &[[u32; 3]],
-    poses: &Buffer<f32>,
-    transl: &Buffer<f32>,
+    poses: &PoseGroups,
     level: usize,
-) -> Result<(Vec<f32>, Vec<f32>), GpuError> {
+) -> Result<Vec<f32>, GpuError> {
     let gpu = &scene.gpu;
     let sums = gpu.zeros::<f32>("fit/colour_sums", faces.len() * 3);
     let counts = gpu.zeros::<f32>("fit/colour_counts", faces.len() * 3);
@@ -28,7 +27,7 @@ pub(super) fn mean_face_colours(
         let colour = gpu.upload("fit/target_colour", &colour);
         let seen = gpu.upload("fit/target_seen", &seen);
         let mut recorder = gpu.recorder("fit/mean_face_colours");
-        scene.forward(&mut recorder, level, PoseAt { poses, transl, frame });
+        scene.forward(&mut recorder, level, poses.at(frame));
         scene.hard.shade_backward(&mut recorder, &level.camera, &scene.view, &colour, &sums);
         scene.hard.shade_backward(&mut recorder, &level.camera, &scene.view, &seen, &counts);
         recorder.submit()?;
@@ -39,7 +38,7 @@ pub(super) fn mean_face_colours(
         colour.iter_mut().for_each(|c| *c /= count.max(1.0));
     }
     fill_unseen(faces, &mut colours, &counts);
-    Ok((colours, counts))
+    Ok(colours)
 }
 
 /// Gives each face without pixels the mean colour of the neighbours that have one, ring by ring.

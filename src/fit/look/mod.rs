@@ -1,0 +1,43 @@
+//! What colours the surface: one colour a face in stage 1, a texture in stage 2.
+
+mod faces;
+mod field;
+mod mean_colours;
+
+pub use faces::FaceColours;
+pub use field::FieldTexture;
+pub use mean_colours::mean_face_colours;
+
+use super::FitError;
+use super::config::{Phase, Rates};
+use super::frame_step::FrameStep;
+use super::groups::PoseGroups;
+use super::losses::Losses;
+use super::scene::Scene;
+use super::schedule::Step;
+use super::state::FitState;
+use crate::gpu::{Buffer, Recorder};
+use crate::ops::edge_gradient::RgbGradient;
+
+/// Colours of the surface with their parameters, gradients and optimiser.
+pub(super) trait Look {
+    /// Before a phase, with the geometry as it is then.
+    fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError>;
+
+    /// Records what comes before the frames of a step: gradients are cleared.
+    fn start_step(&self, recorder: &mut Recorder<'_>, scene: &Scene);
+
+    /// Records the L1 loss of the scene's last hard image and its gradients: of the colours, and where `moves` of the
+    /// mesh through what the faces show (added to the scene's `grad_view`).
+    fn hard(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: &FrameStep<'_>, moves: bool, losses: &Losses);
+
+    /// The last hard image with its gradient, where the borders in it shall move the mesh.
+    fn borders(&self) -> Option<RgbGradient<'_>>;
+
+    /// `[F, 3]`: the colours that the soft image is drawn with, and where their gradient is added.
+    fn face_colours(&self) -> (&Buffer<f32>, &Buffer<f32>);
+
+    fn step(&mut self, recorder: &mut Recorder<'_>, rates: &Rates, step: &Step<'_>);
+
+    fn read_into(&self, scene: &Scene, state: &mut FitState) -> Result<(), FitError>;
+}

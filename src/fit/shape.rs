@@ -1,0 +1,72 @@
+//! β and D (paper §3.1), fitted or as they stand.
+
+use super::FitError;
+use super::Inputs;
+use super::config::{Rates, Weights};
+use super::groups::{Group, VertexGroup};
+use super::losses::Losses;
+use super::mesh_losses::MeshLosses;
+use super::scene::Scene;
+use super::schedule::Step;
+use super::state::FitState;
+use crate::gpu::Recorder;
+use crate::ops::adam::AdamConfig;
+use crate::ops::diffuse::Diffuse;
+
+/// The parameters with the losses that look at the mesh alone.
+pub(super) struct Shape {
+    betas: Group,
+    offsets: VertexGroup,
+    mesh: MeshLosses,
+    diffuse: Diffuse,
+}
+
+impl Shape {
+    pub fn new(scene: &Scene, inputs: &Inputs<'_>, state: &FitState) -> Self {
+        let (gpu, config) = (&scene.gpu, AdamConfig::default());
+        let neighbours = &inputs.topology.neighbours;
+        Self {
+            betas: Group::whole(gpu, "betas", &state.betas, config),
+            offsets: VertexGroup::new(gpu, "offsets", &state.offsets, config),
+            mesh: MeshLosses::new(gpu, inputs.body, inputs.topology),
+            diffuse: Diffuse::new(gpu, &neighbours.starts, &neighbours.items),
+        }
+    }
+
+    /// Puts the shape of `state` on the device once, for a stage that leaves it alone.
+    pub fn stand(scene: &Scene, state: &FitState) -> Result<(), FitError> {
+        let betas = scene.gpu.upload("fit/betas", &state.betas);
+        let offsets = scene.gpu.upload("fit/offsets", &state.offsets);
+        let mut recorder = scene.gpu.recorder("fit/shape");
+        scene.skinning.shape_forward(&mut recorder, &betas, &offsets, &scene.shape);
+        Ok(recorder.submit()?)
+    }
+
+    /// Records the clearing of the gradients, and the body in the T-pose.
+    pub fn forward(&self, recorder: &mut Recorder<'_>, scene: &Scene) {
+        self.betas.clear(recorder);
+        self.offsets.clear(recorder);
+        scene.skinning.shape_forward(recorder, &self.betas.values, &self.offsets.values, &scene.shape);
+    }
+
+    /// Records the losses of the mesh and the way back from the T-pose to β and D.
+    pub fn backward(&self, recorder: &mut Recorder<'_>, scene: &Scene, weights: &Weights, losses: &Losses) {
+        let (offsets, shape) = (&self.offsets, &scene.shape);
+        self.mesh.record(recorder, weights, shape, &offsets.values, &offsets.grads, losses);
+        scene.skinning.shape_backward(recorder, shape, &self.betas.grads, &offsets.grads);
+    }
+
+    pub fn step(&mut self, recorder: &mut Recorder<'_>, rates: &Rates, step: &Step<'_>) {
+        self.betas.step(recorder, &[0], rates.betas * step.rate);
+        if step.phase.offsets {
+            self.diffuse.apply(recorder, &self.offsets.grads, step.phase.diffusion);
+            self.offsets.step(recorder, rates.offsets * step.rate);
+        }
+    }
+
+    pub fn read_into(&self, scene: &Scene, state: &mut FitState) -> Result<(), FitError> {
+        state.betas = self.betas.read(&scene.gpu)?;
+        state.offsets = self.offsets.read(&scene.gpu)?;
+        Ok(())
+    }
+}

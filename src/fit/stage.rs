@@ -1,0 +1,164 @@
+//! What a step of a stage does (paper §3.6). Stage 1 fits β, D, θᵢ, Rᵢ, tᵢ and one colour a face, so that the mesh comes to
+//! lie where image and silhouette have it. In stage 2 shape and face colours stand; the hash texture is trained while the
+//! poses are refined through it and through the soft image.
+
+use super::config::{FitConfig, Phase, StageConfig};
+use super::frame_step::{BACKGROUND, FrameStep};
+use super::groups::PoseGroups;
+use super::keypoint_term::KeypointTerm;
+use super::look::{FaceColours, FieldTexture, Look};
+use super::losses::{Losses, Term};
+use super::motion::Motion;
+use super::scene::Scene;
+use super::schedule::{Step, Work};
+use super::shape::Shape;
+use super::silhouette::SilhouetteTerm;
+use super::soft::{SoftTerm, soft_params};
+use super::state::{FitState, Stage};
+use super::{FitError, Inputs};
+use crate::gpu::Recorder;
+use crate::ops::rgb_l1::RgbL1;
+
+/// Parameters and terms of a stage. What the stage does not weigh or move is absent.
+pub(super) struct StageWork<'a> {
+    scene: &'a Scene,
+    config: &'a FitConfig,
+    stage: &'a StageConfig,
+    poses: PoseGroups,
+    shape: Option<Shape>,
+    look: Box<dyn Look>,
+    soft: Option<(SoftTerm, RgbL1)>,
+    silhouette: SilhouetteTerm,
+    keypoints: Option<KeypointTerm>,
+    motion: Motion,
+    losses: Losses,
+}
+
+impl<'a> StageWork<'a> {
+    /// The work of `state.stage`.
+    pub fn new(scene: &'a Scene, inputs: &Inputs<'a>, state: &FitState) -> Result<Self, FitError> {
+        let (gpu, config) = (&scene.gpu, inputs.config);
+        let (stage, look): (_, Box<dyn Look>) = match state.stage {
+            Stage::Geometry => {
+                let faces = &inputs.body.faces;
+                (&config.geometry, Box::new(FaceColours::new(scene, faces, &config.geometry.weights, state)))
+            }
+            _ => (&config.texture, Box::new(FieldTexture::new(scene, config, state)?)),
+        };
+        let weights = &stage.weights;
+        let shape = stage.shape.then(|| Shape::new(scene, inputs, state));
+        if shape.is_none() {
+            Shape::stand(scene, state)?;
+        }
+        let keypoints = || KeypointTerm::new(gpu, inputs.body, inputs.capture, inputs.camera);
+        Ok(Self {
+            scene,
+            config,
+            stage,
+            poses: PoseGroups::new(gpu, state),
+            shape,
+            look,
+            soft: (weights.rgb_soft != 0.0).then(|| (SoftTerm::new(scene), RgbL1::new(gpu, scene.max_pixels))),
+            silhouette: SilhouetteTerm::new(scene, config.silhouette_gradient),
+            keypoints: if weights.keypoints != 0.0 { keypoints() } else { None },
+            motion: Motion::new(gpu),
+            losses: Losses::new(scene, state.stage),
+        })
+    }
+
+    /// One frame's images, losses and gradients.
+    fn record_frame(&self, recorder: &mut Recorder<'_>, frame: &FrameStep<'_>) {
+        let (scene, weights) = (self.scene, frame.weights);
+        let moves = self.moves(frame.phase);
+        let coloured = weights.rgb != 0.0;
+        scene.clear_frame_gradients(recorder);
+        scene.forward(recorder, frame.level, self.poses.at(frame.frame));
+        if coloured {
+            self.look.hard(recorder, scene, frame, moves, &self.losses);
+        }
+        if !moves {
+            return;
+        }
+        let borders = if coloured { self.look.borders() } else { None };
+        self.silhouette.record(recorder, scene, frame, borders, &self.losses);
+        self.record_soft(recorder, frame);
+        if let Some(keypoints) = &self.keypoints {
+            let weight = frame.part * weights.keypoints;
+            keypoints.record(recorder, scene, frame.frame, weight, self.losses.slot(Term::Keypoints));
+        }
+        scene.backward(recorder, frame.level, self.poses.at(frame.frame), self.poses.grad_at(frame.frame));
+    }
+
+    /// Near faces outweigh the background as far as the blur reaches, so outside the mask the soft colours would only pull
+    /// the mesh inwards, against the silhouette: they count inside.
+    fn record_soft(&self, recorder: &mut Recorder<'_>, frame: &FrameStep<'_>) {
+        let Some((soft, rgb)) = &self.soft else { return };
+        let (scene, camera, n) = (self.scene, &frame.level.camera, frame.level.camera.n_pixels());
+        let (target, inside) = (frame.target(), Some(&frame.level.inside));
+        let params = soft_params(scene, frame.phase, frame.frame, BACKGROUND);
+        let (colours, grad_colours) = self.look.face_colours();
+        soft.forward(recorder, &params, camera, scene, colours);
+        rgb.forward(recorder, n, soft.rgb(), target, inside, self.losses.slot(Term::RgbSoft));
+        soft.clear_gradients(recorder);
+        let weight = frame.per_pixel(frame.weights.rgb_soft);
+        rgb.backward(recorder, n, soft.rgb(), target, inside, weight, &soft.grad_rgb);
+        soft.backward(recorder, &params, camera, scene, colours, grad_colours);
+    }
+
+    /// Whether a phase moves the mesh at all.
+    fn moves(&self, phase: &Phase) -> bool {
+        self.shape.is_some() || phase.pose_rate != 0.0
+    }
+}
+
+impl Work for StageWork<'_> {
+    fn start_phase(&mut self, phase: &Phase) -> Result<(), FitError> {
+        if let Some(shape) = &self.shape {
+            let mut recorder = self.scene.gpu.recorder("fit/start_phase");
+            shape.forward(&mut recorder, self.scene);
+            recorder.submit()?;
+        }
+        self.look.start_phase(self.scene, &self.poses, phase)
+    }
+
+    fn step(&mut self, step: &Step<'_>) -> Result<(), FitError> {
+        let (scene, weights, rates) = (self.scene, &self.stage.weights, &self.config.rates);
+        let part = 1.0 / step.frames.len() as f32;
+        let mut recorder = scene.gpu.recorder("fit/step");
+        self.poses.clear(&mut recorder);
+        scene.shape.clear_gradients(&mut recorder);
+        if let Some(shape) = &self.shape {
+            shape.forward(&mut recorder, scene);
+        }
+        self.look.start_step(&mut recorder, scene);
+        for &frame in step.frames {
+            let level = &scene.frames[frame].levels[step.phase.level];
+            let frame = FrameStep { frame, level, phase: step.phase, weights, part, number: step.number };
+            self.record_frame(&mut recorder, &frame);
+        }
+        if let Some(shape) = &mut self.shape {
+            shape.backward(&mut recorder, scene, weights, &self.losses);
+            shape.step(&mut recorder, rates, step);
+        }
+        if step.phase.pose_rate != 0.0 {
+            if weights.motion != 0.0 {
+                self.motion.record(&mut recorder, weights.motion * part, &self.poses);
+            }
+            self.poses.step(&mut recorder, rates, step);
+        }
+        self.look.step(&mut recorder, rates, step);
+        Ok(recorder.submit()?)
+    }
+
+    fn losses(&mut self) -> &mut Losses {
+        &mut self.losses
+    }
+
+    fn read_into(&self, state: &mut FitState) -> Result<(), FitError> {
+        self.poses.read_into(&self.scene.gpu, state)?;
+        if let Some(shape) = &self.shape {
+            shape.read_into(self.scene, state)?;
+        }
+        self.look.read_into(self.scene, state)
+    }
+}
