@@ -4,6 +4,7 @@ pub mod avatar;
 pub mod body;
 pub mod camera;
 pub mod capture;
+pub mod config;
 pub mod data_dir;
 pub mod eval;
 pub mod fit;

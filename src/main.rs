@@ -31,6 +31,8 @@ enum Command {
     Serve(cli::serve::Args),
     /// Run jobs of a data folder, without an API.
     Worker(cli::worker::Args),
+    /// Print the settings in force and where each comes from.
+    Config(cli::config::Args),
     /// Print the description of the API.
     Openapi,
 }
@@ -49,6 +51,7 @@ fn main() -> anyhow::Result<()> {
         Command::Bench(args) => cli::bench::run(args),
         Command::Serve(args) => cli::serve::run(args),
         Command::Worker(args) => cli::worker::run(args),
+        Command::Config(args) => cli::config::run(args),
         Command::Openapi => cli::openapi::run(),
     }
 }

@@ -1,11 +1,13 @@
 pub mod bench;
 pub mod body;
+pub mod config;
 pub mod eval;
 pub mod fit;
 pub mod openapi;
 pub mod render;
 pub mod serve;
 mod service;
+mod settings;
 pub mod study;
 pub mod synth;
 pub mod worker;

@@ -1,8 +1,6 @@
 //! `effigy serve`: the API and, as a child process, its worker.
 
 use std::collections::HashSet;
-use std::net::SocketAddr;
-use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
@@ -12,41 +10,35 @@ use effigy::jobs::{Env, Queue};
 use effigy::storage::Store;
 use effigy::worker::{Reaper, Supervisor, SupervisorSettings};
 
-use super::service::{ServiceArgs, asked_to_end, open_queue, open_store, start_log};
+use super::service::{asked_to_end, open_queue, open_store, policy, start_log};
+use super::settings::{InForce, ServerSettings};
 
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    service: ServiceArgs,
-    /// Address and port to listen on; port 0 takes a free one and prints it.
-    #[arg(long, env = "EFFIGY_LISTEN", default_value = "127.0.0.1:8080")]
-    listen: SocketAddr,
-    /// 1: supervise a worker as a child process. 0: the API alone, for workers started by `effigy worker`.
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=1))]
-    workers: u8,
-    /// Largest upload, all parts together.
-    #[arg(long, env = "EFFIGY_MAX_UPLOAD_BYTES", default_value_t = Limits::default().upload_bytes)]
-    max_upload_bytes: u64,
+    settings: ServerSettings,
 }
 
 pub fn run(args: Args) -> Result<()> {
-    start_log();
-    tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(serve(args))
+    let in_force = args.settings.resolve()?;
+    start_log(&in_force)?;
+    tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(serve(in_force))
 }
 
-async fn serve(args: Args) -> Result<()> {
-    let store = open_store(&args.service.data_dir())?;
+async fn serve(in_force: InForce) -> Result<()> {
+    let config = &in_force.config;
+    let store = open_store(&config.data_dir())?;
     let Some(_lock) = store.lock_server()? else {
         bail!("another server uses the data folder {}", store.root().display());
     };
     let env = Env::system();
-    let queue = open_queue(&store, &env, args.service.policy()).await?;
+    let queue = open_queue(&store, &env, policy(config)).await?;
     clean(&store, queue.as_ref()).await?;
     let reaper = tokio::spawn(Reaper { queue: queue.clone(), store: store.clone() }.run());
 
-    let supervisor = match args.workers {
+    let supervisor = match config.workers.0 {
         0 => None,
-        _ => Some(Supervisor::new(worker_command(&store, &args.service)?)),
+        _ => Some(Supervisor::new(worker_command(&store, &in_force)?)),
     };
     let renderer: Arc<dyn Renderer> = match &supervisor {
         Some(supervisor) => supervisor.clone(),
@@ -54,14 +46,14 @@ async fn serve(args: Args) -> Result<()> {
     };
     let supervision = supervisor.clone().map(|supervisor| tokio::spawn(supervisor.run()));
 
-    let listener = tokio::net::TcpListener::bind(args.listen).await;
-    let listener = listener.with_context(|| format!("listening on {}", args.listen))?;
+    let listener = tokio::net::TcpListener::bind(config.listen).await;
+    let listener = listener.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
     tracing::info!(data = %store.root().display(), "the server is ready");
     println!("listening on http://{address}");
 
     let inspector = Arc::new(ClipInspector { store: store.clone() });
-    let limits = Limits { upload_bytes: args.max_upload_bytes };
+    let limits = Limits { upload_bytes: config.max_upload_bytes.0 };
     let app = App::new(queue.clone(), store, renderer, inspector, env, limits);
     let end = async move {
         asked_to_end().await;
@@ -91,14 +83,9 @@ async fn clean(store: &Store, queue: &dyn Queue) -> Result<()> {
 }
 
 /// This very program, as a worker on the same data.
-fn worker_command(store: &Store, service: &ServiceArgs) -> Result<SupervisorSettings> {
+fn worker_command(store: &Store, in_force: &InForce) -> Result<SupervisorSettings> {
     let program = std::env::current_exe().context("finding this program for its worker")?;
-    let text = |path: &Path| path.to_str().map(str::to_string).context("the data folder's name is no UTF-8");
-    let mut arguments = vec!["worker".to_string(), "--renders-on-stdio".into(), "--data-dir".into()];
-    arguments.push(text(store.root())?);
-    arguments.extend(["--stall-secs".to_string(), service.stall_secs.to_string()]);
-    if let Some(days) = service.retain_days {
-        arguments.extend(["--retain-days".to_string(), days.to_string()]);
-    }
+    let mut arguments = vec!["worker".to_string(), "--renders-on-stdio".into()];
+    arguments.extend(in_force.worker_flags(store.root().to_str().context("the data folder's name is no UTF-8")?));
     Ok(SupervisorSettings::new(program, arguments, store.renders()))
 }

@@ -1,52 +1,37 @@
 //! What `serve` and `worker` share.
 
 use std::io::IsTerminal;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
+use effigy::config::{Config, LogFormat};
 use effigy::jobs::sqlite::SqliteQueue;
 use effigy::jobs::{Env, Policy};
 use effigy::storage::Store;
 use tracing_subscriber::EnvFilter;
 
-#[derive(clap::Args)]
-pub struct ServiceArgs {
-    /// Where jobs, avatars and bodies are kept [default: the user's data folder].
-    #[arg(long, env = "EFFIGY_DATA_DIR")]
-    pub data_dir: Option<PathBuf>,
-    /// Remove a job's files so many days after its end; without it they stay.
-    #[arg(long, value_name = "DAYS")]
-    pub retain_days: Option<u64>,
-    /// A fit that shows no step for so long hangs: its attempt ends, and the worker's process is started anew.
-    #[arg(long, env = "EFFIGY_STALL_SECS", value_name = "SECS", default_value_t = 600)]
-    pub stall_secs: u64,
+use super::settings::InForce;
+
+pub fn policy(config: &Config) -> Policy {
+    let retention = config.retain_days.map(|days| Duration::from_secs(u64::from(days) * 86_400));
+    Policy { retention, ..Policy::default() }
 }
 
-impl ServiceArgs {
-    pub fn data_dir(&self) -> PathBuf {
-        self.data_dir.clone().unwrap_or_else(effigy::data_dir::data_dir)
+/// Logs to standard error.
+pub fn start_log(in_force: &InForce) -> Result<()> {
+    let config = &in_force.config;
+    let filter = EnvFilter::try_new(&config.log).with_context(|| format!("the setting log, {:?}", config.log))?;
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    match config.log_format {
+        LogFormat::Text => log.with_ansi(std::io::stderr().is_terminal()).init(),
+        LogFormat::Json => log.json().flatten_event(true).with_current_span(false).init(),
     }
-
-    pub fn stall(&self) -> Duration {
-        Duration::from_secs(self.stall_secs)
+    for (name, nearest) in &in_force.strange {
+        tracing::warn!("{name} is no setting; did you mean {nearest}?");
     }
-
-    pub fn policy(&self) -> Policy {
-        let retention = self.retain_days.map(|days| Duration::from_secs(days.saturating_mul(86_400)));
-        Policy { retention, ..Policy::default() }
-    }
-}
-
-/// Logs to standard error; `EFFIGY_LOG` chooses what, in the form of `tracing`'s filters.
-pub fn start_log() {
-    let filter = EnvFilter::try_from_env("EFFIGY_LOG").unwrap_or_else(|_| EnvFilter::new("warn,effigy=info"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
+    Ok(())
 }
 
 pub fn open_store(data_dir: &Path) -> Result<Arc<Store>> {

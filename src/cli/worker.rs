@@ -4,16 +4,18 @@ use std::thread;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
+use effigy::config::Config;
 use effigy::jobs::Env;
-use effigy::worker::{DeviceEngine, DeviceThread, Owner, Reaper, Worker, WorkerSettings, channel};
+use effigy::worker::{self, DeviceEngine, DeviceThread, Owner, Reaper, Worker, channel};
 use tokio::sync::watch;
 
-use super::service::{ServiceArgs, asked_to_end, open_queue, open_store, start_log};
+use super::service::{asked_to_end, open_queue, open_store, policy, start_log};
+use super::settings::WorkerSettings;
 
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    service: ServiceArgs,
+    settings: WorkerSettings,
     /// Serve a server's renders on standard input and output, and end with the input.
     #[arg(long, hide = true)]
     renders_on_stdio: bool,
@@ -30,17 +32,19 @@ pub fn run(args: Args) -> Result<()> {
     if args.renders_on_stdio {
         lower_priority();
     }
-    start_log();
-    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?.block_on(work(args))
+    let in_force = args.settings.resolve()?;
+    start_log(&in_force)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    runtime.block_on(work(&in_force.config, args.renders_on_stdio))
 }
 
-async fn work(args: Args) -> Result<()> {
-    let store = open_store(&args.service.data_dir())?;
+async fn work(config: &Config, renders_on_stdio: bool) -> Result<()> {
+    let store = open_store(&config.data_dir())?;
     let env = Env::system();
-    let queue = open_queue(&store, &env, args.service.policy()).await?;
+    let queue = open_queue(&store, &env, policy(config)).await?;
     let device = DeviceThread::start(DeviceEngine::default())?;
     let (shutdown, stopped) = watch::channel(false);
-    if args.renders_on_stdio {
+    if renders_on_stdio {
         let (device, shutdown) = (device.clone(), shutdown.clone());
         thread::Builder::new().name("channel".into()).spawn(move || {
             if let Err(error) = channel::serve(std::io::stdin().lock(), &device) {
@@ -58,7 +62,8 @@ async fn work(args: Args) -> Result<()> {
         shutdown.send_replace(true);
     });
     let owner = Owner::new(&store.workers(), env.new_id())?;
-    let settings = WorkerSettings { stall: args.service.stall(), ..WorkerSettings::default() };
+    let stall = Duration::from_secs(config.stall_secs.into());
+    let settings = worker::WorkerSettings { stall, ..worker::WorkerSettings::default() };
     let overdue = overdue(stopped.clone());
     tokio::select! {
         ended = Worker { queue: queue.clone(), store, device, owner, settings }.run(stopped) => {

@@ -18,6 +18,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("capture", &[]),
     ("body", &[]),
     ("gpu", &[]),
+    ("config", &[]),
 ];
 
 const ROOT_LEAVES: &[&str] = &["camera", "npz", "data_dir"];

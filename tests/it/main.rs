@@ -1,6 +1,7 @@
 //! The integration tests: one binary, one module a topic.
 
 mod bench;
+mod config;
 mod fit;
 mod import_rule;
 mod service;

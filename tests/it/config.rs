@@ -1,0 +1,49 @@
+//! Settings through the program itself.
+
+use std::process::Command;
+
+fn config(arguments: &[&str], variables: &[(&str, &str)]) -> (bool, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_effigy"));
+    // The user's own file and variables are none of this test's.
+    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("EFFIGY_")) {
+        command.env_remove(name);
+    }
+    let output = command.arg("config").args(arguments).envs(variables.iter().copied()).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.success(), text(output.stdout), text(output.stderr))
+}
+
+#[test]
+fn the_program_tells_where_each_setting_comes_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("effigy.toml");
+    std::fs::write(&file, "listen = \"127.0.0.1:9\"\nretain_days = 7\nlog = \"debug\"").unwrap();
+    let file = file.to_str().unwrap();
+    let variables = [("EFFIGY_CONFIG", file), ("EFFIGY_LOG", "info"), ("EFFIGY_RETAIN_DAYS", "8")];
+    let (ok, said, _) = config(&["--retain-days", "9"], &variables);
+    assert!(ok, "{said}");
+    let line = |key: &str| said.lines().find(|line| line.starts_with(key)).unwrap_or_else(|| panic!("{key}: {said}"));
+    assert!(line("retain_days").starts_with("retain_days = 9 ") && line("retain_days").ends_with("# --retain-days"));
+    assert!(line("log ").contains("\"info\"") && line("log ").ends_with("# EFFIGY_LOG"));
+    assert!(line("listen").contains("127.0.0.1:9") && line("listen").ends_with(&format!("# {file}")));
+    assert!(line("workers").ends_with("# default"));
+
+    // What was printed is a file that gives the same.
+    let printed = folder.path().join("printed.toml");
+    std::fs::write(&printed, &said).unwrap();
+    let (ok, again, _) = config(&["--config", printed.to_str().unwrap()], &[]);
+    let values =
+        |text: &str| text.lines().map(|l| l.split("  #").next().unwrap().trim().to_string()).collect::<Vec<_>>();
+    assert!(ok && values(&said) == values(&again), "{again}");
+}
+
+#[test]
+fn a_misspelt_key_ends_the_program_and_names_the_right_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("effigy.toml");
+    std::fs::write(&file, "retian_days = 7").unwrap();
+    let (ok, _, said) = config(&["--config", file.to_str().unwrap()], &[]);
+    assert!(!ok && said.contains("did you mean \"retain_days\""), "{said}");
+    let (ok, _, said) = config(&["--config", ""], &[("EFFIGY_LISTNE", "x")]);
+    assert!(ok && said.contains("did you mean EFFIGY_LISTEN"), "{said}");
+}
