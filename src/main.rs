@@ -31,6 +31,8 @@ enum Command {
     Serve(cli::serve::Args),
     /// Run jobs of a data folder, without an API.
     Worker(cli::worker::Args),
+    /// Make, list and revoke the keys of the service.
+    Keys(cli::keys::Args),
     /// Print the settings in force and where each comes from.
     Config(cli::config::Args),
     /// Print the description of the API.
@@ -51,6 +53,7 @@ fn main() -> anyhow::Result<()> {
         Command::Bench(args) => cli::bench::run(args),
         Command::Serve(args) => cli::serve::run(args),
         Command::Worker(args) => cli::worker::run(args),
+        Command::Keys(args) => cli::keys::run(args),
         Command::Config(args) => cli::config::run(args),
         Command::Openapi => cli::openapi::run(),
     }

@@ -3,6 +3,7 @@ pub mod body;
 pub mod config;
 pub mod eval;
 pub mod fit;
+pub mod keys;
 pub mod openapi;
 pub mod render;
 pub mod serve;

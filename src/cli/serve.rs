@@ -4,7 +4,9 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use effigy::http::{App, ClipInspector, Limits};
+use effigy::config::{Auth, Config};
+use effigy::http::{Access, App, ClipInspector, Limits, Openness};
+use effigy::jobs::keys::Keys;
 use effigy::jobs::render::{NoRenderer, Renderer};
 use effigy::jobs::{Env, Queue};
 use effigy::storage::Store;
@@ -46,6 +48,11 @@ async fn serve(in_force: InForce) -> Result<()> {
     };
     let supervision = supervisor.clone().map(|supervisor| tokio::spawn(supervisor.run()));
 
+    let openness = openness(config, queue.as_ref()).await?;
+    let mut fresh = [0; 32];
+    getrandom::fill(&mut fresh).context("the system's randomness")?;
+    let secret = queue.secret("links", fresh).await?;
+    let access = Access::new(openness, queue.clone(), config.cors_origins.clone(), secret);
     let listener = tokio::net::TcpListener::bind(config.listen).await;
     let listener = listener.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
@@ -54,7 +61,7 @@ async fn serve(in_force: InForce) -> Result<()> {
 
     let inspector = Arc::new(ClipInspector { store: store.clone() });
     let limits = Limits { upload_bytes: config.max_upload_bytes.0 };
-    let app = App::new(queue.clone(), store, renderer, inspector, env, limits);
+    let app = App::new(queue.clone(), store, renderer, inspector, env, limits).with_access(access);
     let end = async move {
         asked_to_end().await;
         tracing::info!("the server ends");
@@ -80,6 +87,30 @@ async fn clean(store: &Store, queue: &dyn Queue) -> Result<()> {
         }
     }
     store.clean(&known).context("cleaning the data folder")
+}
+
+/// Whom the server listens to. What others can reach does not open by mistake.
+async fn openness(config: &Config, keys: &dyn Keys) -> Result<Openness> {
+    let any = keys.any_living_key().await?;
+    match config.auth {
+        Auth::Open => {
+            tracing::warn!("whoever reaches {} may do everything: auth = \"open\"", config.listen);
+            Ok(Openness::Open)
+        }
+        Auth::Auto if config.listen.ip().is_loopback() => Ok(if any { Openness::Keys } else { Openness::Local }),
+        Auth::Auto if !any => bail!(
+            "others can reach {} and there is no key: make one (effigy keys create NAME), listen on 127.0.0.1, or set \
+             auth to \"open\"",
+            config.listen
+        ),
+        Auth::Auto => Ok(Openness::Keys),
+        Auth::Keys => {
+            if !any {
+                tracing::warn!("there is no key yet, so nobody can call (effigy keys create NAME)");
+            }
+            Ok(Openness::Keys)
+        }
+    }
 }
 
 /// This very program, as a worker on the same data.

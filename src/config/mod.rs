@@ -15,7 +15,7 @@ use std::path::PathBuf;
 
 pub use resolve::{ConfigError, Effective, Origin, Sources, find_file};
 pub use table::{show, table};
-pub use value::{Bytes, LogFormat, Value};
+pub use value::{Auth, Bytes, LogFormat, Value};
 
 /// A setting as it is declared.
 #[derive(Clone, Copy, Debug)]
@@ -89,6 +89,11 @@ settings! {
     both retain_days: Option<u32> = "";
     /// A fit that shows no step for so many seconds hangs: its attempt ends, and the worker's process is started anew.
     both stall_secs: u32 = "600";
+    /// Who must show a key (`effigy keys create`). `auto`: everybody, once there is a key; a server that others can reach
+    /// does not start without one. `keys`: everybody, always; right behind a proxy. `open`: nobody.
+    serve auth: Auth = "auto";
+    /// Origins whose pages may call the API from a browser, as `https://example.org`; `*` for all.
+    serve cors_origins: Vec<String> = "";
     /// What is logged, in the form of `tracing`'s filters.
     both log: String = "warn,effigy=info";
     /// How it is logged: lines for people, or JSON objects for programs.

@@ -79,6 +79,33 @@ macro_rules! choice {
 }
 
 choice! {
+    /// Whether callers must show a key.
+    Auth {
+        /// Where others can reach the server, or there is a key.
+        Auto = "auto",
+        /// Always.
+        Keys = "keys",
+        /// Never: whoever reaches the server may do everything.
+        Open = "open",
+    }
+}
+
+/// Texts, separated by commas.
+impl Value for Vec<String> {
+    fn kind() -> String {
+        "a list".into()
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        Some(text.split(',').map(str::trim).filter(|item| !item.is_empty()).map(str::to_string).collect())
+    }
+
+    fn text(&self) -> String {
+        self.join(",")
+    }
+}
+
+choice! {
     /// The form of the log.
     LogFormat {
         /// Lines for people.

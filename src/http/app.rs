@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use tokio::sync::{Semaphore, watch};
 
+use super::access::Access;
 use crate::jobs::render::Renderer;
 use crate::jobs::{Clip, Env, JobOptions, Queue};
 use crate::storage::Store;
@@ -59,6 +60,7 @@ pub struct App {
     pub inspector: Arc<dyn Inspector>,
     pub env: Env,
     pub limits: Limits,
+    pub access: Arc<Access>,
     pub(super) inspections: Arc<Semaphore>,
     /// Id of the newest event, and the end of the server: what event streams wait for.
     pub(super) feed: watch::Sender<Feed>,
@@ -80,6 +82,12 @@ impl App {
         limits: Limits,
     ) -> App {
         let inspections = Arc::new(Semaphore::new(INSPECTIONS));
-        App { queue, store, renderer, inspector, env, limits, inspections, feed: watch::Sender::default() }
+        let access = Arc::new(Access::open());
+        App { queue, store, renderer, inspector, env, limits, access, inspections, feed: watch::Sender::default() }
+    }
+
+    /// Under these rules instead of none.
+    pub fn with_access(self, access: Access) -> App {
+        App { access: Arc::new(access), ..self }
     }
 }

@@ -59,6 +59,14 @@ pub enum ApiError {
     Conflict { state: State, wish: &'static str },
     #[error("the file has {size} bytes")]
     Range { size: u64 },
+    /// Nobody has said who asks.
+    #[error("{0}")]
+    Unauthorized(String),
+    #[error("{0}")]
+    Forbidden(String),
+    /// Beyond what the key allows.
+    #[error("{detail}")]
+    TooMany { slug: &'static str, detail: String, retry_after_secs: u32 },
     #[error("{0}")]
     Busy(String),
     #[error("the disk is full")]
@@ -70,6 +78,9 @@ pub enum ApiError {
 
 /// Seconds after which a client may ask again when the server was busy.
 const RETRY_AFTER_SECS: u32 = 5;
+
+/// The same for a quota, which frees up when a job ends or is deleted.
+const QUOTA_RETRY_SECS: u32 = 60;
 
 impl ApiError {
     pub fn malformed(detail: impl Into<String>) -> Self {
@@ -97,6 +108,11 @@ impl ApiError {
             ApiError::Conflict { .. } => (StatusCode::CONFLICT, "conflict", "The job's state does not allow this"),
             ApiError::Range { .. } => {
                 (StatusCode::RANGE_NOT_SATISFIABLE, "range-not-satisfiable", "The range is outside the file")
+            }
+            ApiError::Unauthorized(_) => (StatusCode::UNAUTHORIZED, "unauthorized", "A key is needed"),
+            ApiError::Forbidden(_) => (StatusCode::FORBIDDEN, "forbidden", "This is not allowed"),
+            ApiError::TooMany { slug, .. } => {
+                (StatusCode::TOO_MANY_REQUESTS, *slug, "This is more than the key allows")
             }
             ApiError::Busy(_) => (StatusCode::SERVICE_UNAVAILABLE, "busy", "The server cannot do this now"),
             ApiError::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk-full", "The server's disk is full"),
@@ -155,6 +171,12 @@ impl IntoResponse for ApiError {
             ApiError::Busy(_) => {
                 headers.insert(header::RETRY_AFTER, RETRY_AFTER_SECS.into());
             }
+            ApiError::TooMany { retry_after_secs, .. } => {
+                headers.insert(header::RETRY_AFTER, retry_after_secs.into());
+            }
+            ApiError::Unauthorized(_) => {
+                headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+            }
             ApiError::Range { size } => {
                 if let Ok(value) = HeaderValue::try_from(format!("bytes */{size}")) {
                     headers.insert(header::CONTENT_RANGE, value);
@@ -172,6 +194,11 @@ impl From<QueueError> for ApiError {
             QueueError::Database(sqlx::Error::Database(cause)) if is_disk_full(cause.code().as_deref()) => {
                 ApiError::DiskFull
             }
+            QueueError::Quota { .. } => ApiError::TooMany {
+                slug: "quota-exceeded",
+                detail: error.to_string(),
+                retry_after_secs: QUOTA_RETRY_SECS,
+            },
             _ => ApiError::internal(error),
         }
     }

@@ -3,6 +3,7 @@
 //! Handlers know the queue, the store and traits for what is done elsewhere ([`app::Inspector`], the renderer). None
 //! computes: a fit may use every core and a status call is still answered at once.
 
+mod access;
 mod app;
 mod avatars;
 mod error;
@@ -11,24 +12,28 @@ mod files;
 mod health;
 mod inspector;
 mod jobs;
+mod links;
 mod metrics;
 pub mod openapi;
 mod renders;
 mod server;
 
 use std::any::Any;
+use std::time::Duration;
 
 use axum::Router;
 use axum::extract::Request;
-use axum::http::HeaderName;
+use axum::http::{HeaderName, HeaderValue, Method};
 use axum::response::{IntoResponse, Response};
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer, ExposeHeaders};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::trace::TraceLayer;
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+pub use access::{Access, Openness};
 pub use app::{App, InspectError, Inspector, Limits, UploadedFiles};
 pub use inspector::ClipInspector;
 pub use server::serve;
@@ -44,6 +49,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(avatars::mesh))
         .routes(routes!(files::file))
         .routes(routes!(renders::render))
+        .routes(routes!(links::create))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(health::figures))
@@ -60,12 +66,33 @@ pub fn router(app: App) -> Router {
             ApiError::MethodNotAllowed(format!("{} {}", request.method(), request.uri().path()))
         })
         // Runs inside the routes, where the pattern of the path is known.
+        .route_layer(axum::middleware::from_fn_with_state(app.clone(), access::check))
         .route_layer(axum::middleware::from_fn(metrics::count))
+        .layer(cors(app.access.origins()))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(TraceLayer::new_for_http().make_span_with(span))
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
         .with_state(app)
+}
+
+/// What browsers let the pages of other origins do: nothing, unless it is configured. A page shows its key in a header
+/// of its own, so no credentials of the browser's are ever involved.
+fn cors(origins: &[String]) -> CorsLayer {
+    if origins.is_empty() {
+        return CorsLayer::new();
+    }
+    let allowed = if origins.iter().any(|origin| origin == "*") {
+        AllowOrigin::any()
+    } else {
+        AllowOrigin::list(origins.iter().filter_map(|origin| HeaderValue::from_str(origin).ok()))
+    };
+    CorsLayer::new()
+        .allow_origin(allowed)
+        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PATCH, Method::DELETE])
+        .allow_headers(AllowHeaders::mirror_request())
+        .expose_headers(ExposeHeaders::any())
+        .max_age(Duration::from_secs(3600))
 }
 
 fn span(request: &Request) -> tracing::Span {

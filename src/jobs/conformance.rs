@@ -23,6 +23,7 @@ pub struct Bench {
 pub fn new_job(env: &Env) -> NewJob {
     NewJob {
         id: env.new_id(),
+        key: None,
         options: JobOptions::default(),
         inputs: BTreeMap::from([("video".to_string(), Part { bytes: 10 })]),
         clip: Clip { frames: 5, width: 64, height: 48, fps: 30.0 },

@@ -88,6 +88,8 @@ pub struct Clip {
 #[derive(Clone, Debug)]
 pub struct NewJob {
     pub id: Uuid,
+    /// Whose it is.
+    pub key: Option<Uuid>,
     pub options: JobOptions,
     pub inputs: BTreeMap<String, Part>,
     pub clip: Clip,

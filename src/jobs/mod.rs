@@ -7,6 +7,7 @@
 mod conformance;
 mod env;
 mod job;
+pub mod keys;
 mod options;
 mod queue;
 pub mod render;

@@ -50,6 +50,9 @@ pub enum QueueError {
     Database(#[from] sqlx::Error),
     #[error("the job database could not be brought to this version: {0}")]
     Migrate(#[from] sqlx::migrate::MigrateError),
+    /// More than a key allows.
+    #[error("the key allows {limit} {what}")]
+    Quota { what: &'static str, limit: u64 },
     #[error("the job database holds something unreadable in {column}: {reason}")]
     Corrupt { column: &'static str, reason: String },
 }
@@ -110,6 +113,8 @@ pub struct ListFilter {
     pub created_from: Option<Timestamp>,
     /// Only jobs created before this time.
     pub created_before: Option<Timestamp>,
+    /// Only jobs of this key.
+    pub key: Option<Uuid>,
     /// Only jobs older than this one.
     pub before: Option<Uuid>,
     pub limit: u32,
@@ -148,13 +153,13 @@ pub struct StageTime {
     pub secs: f64,
 }
 
-type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
+pub(super) type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
 
 /// A durable queue of jobs and the shelf of their results. Each call is one transaction.
 pub trait Queue: Send + Sync + 'static {
     // The API's side.
 
-    /// Puts a job in, queued.
+    /// Puts a job in, queued, unless its key allows no more.
     fn insert(&self, job: NewJob) -> Answer<'_, Job>;
     fn get(&self, id: Uuid) -> Answer<'_, Option<Job>>;
     fn list(&self, filter: ListFilter) -> Answer<'_, Vec<Job>>;

@@ -6,11 +6,14 @@ use axum::extract::{Multipart, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
+use uuid::Uuid;
+
 use super::upload::{Received, UploadForm, receive};
 use super::view::JobView;
-use crate::http::app::{App, InspectError};
+use crate::http::access::Caller;
+use crate::http::app::{App, InspectError, Limits};
 use crate::http::error::{ApiError, Problem};
-use crate::jobs::{Clip, Job, NewJob};
+use crate::jobs::{Clip, Job, NewJob, QueueError};
 
 /// Upload a clip and queue the making of its avatar.
 ///
@@ -29,26 +32,46 @@ use crate::jobs::{Clip, Job, NewJob};
             content_type = "application/problem+json"),
         (status = 422, description = "A part cannot be used, or the parts do not belong together", body = Problem,
             content_type = "application/problem+json"),
+        (status = 429, description = "More than the caller's key allows", body = Problem,
+            content_type = "application/problem+json"),
         (status = 507, description = "The server's disk is full", body = Problem,
             content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn create(
     State(app): State<App>,
+    caller: Caller,
     headers: HeaderMap,
     form: Result<Multipart, MultipartRejection>,
 ) -> Result<Response, ApiError> {
-    refuse_by_length(&headers, app.limits.upload_bytes)?;
+    let limits = allowance(&app, &caller).await?;
+    refuse_by_length(&headers, limits.upload_bytes)?;
     let form = form.map_err(|e| match e {
         MultipartRejection::InvalidBoundary(e) => ApiError::MediaType(e.body_text()),
         other => ApiError::MediaType(other.body_text()),
     })?;
-    let received = receive(form, &app.store, &app.limits).await?;
+    let received = receive(form, &app.store, &limits).await?;
     let (received, clip) = inspect(&app, received).await?;
-    let job = accept(app, received, clip).await?;
+    let job = accept(app, caller.key_id(), received, clip).await?;
     let location = format!("/v1/jobs/{}", job.id);
     tracing::info!(job = %job.id, "accepted");
     Ok((StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(JobView::from(job))).into_response())
+}
+
+/// The server's limits, narrowed to what the caller's key may still keep. The transaction that puts the job in decides;
+/// this spares the caller a long upload in vain.
+async fn allowance(app: &App, caller: &Caller) -> Result<Limits, ApiError> {
+    let mut limits = app.limits.clone();
+    if let (Some(key), Some(keys)) = (caller.key(), app.access.keys())
+        && let Some(limit) = key.quota.max_bytes
+    {
+        let left = limit.saturating_sub(keys.kept_bytes(key.id).await?);
+        if left == 0 {
+            return Err(QueueError::Quota { what: "bytes kept", limit }.into());
+        }
+        limits.upload_bytes = limits.upload_bytes.min(left);
+    }
+    Ok(limits)
 }
 
 /// A client that tells the size beforehand need not send it all to learn that it is too much.
@@ -83,13 +106,13 @@ async fn inspect(app: &App, received: Received) -> Result<(Received, Clip), ApiE
 }
 
 /// Files first, then the row: a row's files are always there. Runs to its end even if the client goes away.
-async fn accept(app: App, received: Received, clip: Clip) -> Result<Job, ApiError> {
+async fn accept(app: App, key: Option<Uuid>, received: Received, clip: Clip) -> Result<Job, ApiError> {
     let task = tokio::spawn(async move {
         let id = app.env.new_id();
         let Received { upload, inputs, options } = received;
         let store = app.store.clone();
         tokio::task::spawn_blocking(move || store.commit_upload(upload, id)).await.map_err(ApiError::internal)??;
-        let queued = app.queue.insert(NewJob { id, options, inputs, clip }).await;
+        let queued = app.queue.insert(NewJob { id, key, options, inputs, clip }).await;
         if queued.is_err() {
             let store = app.store.clone();
             tokio::task::spawn_blocking(move || store.delete_job(id)).await.map_err(ApiError::internal)??;

@@ -7,6 +7,7 @@ use uuid::Uuid;
 
 use super::view::JobView;
 use crate::http::App;
+use crate::http::access::Caller;
 use crate::http::error::{ApiError, Problem};
 use crate::http::extract::ApiQuery;
 use crate::jobs::{self, ListFilter, Timestamp};
@@ -42,7 +43,7 @@ pub(super) struct JobList {
     next: Option<Uuid>,
 }
 
-/// List jobs, newest first.
+/// List jobs, newest first: those of the caller's key, or all where no key is needed or the key is an admin's.
 #[utoipa::path(
     get, path = "/v1/jobs", tag = "jobs", params(ListQuery),
     responses(
@@ -53,6 +54,7 @@ pub(super) struct JobList {
 )]
 pub(super) async fn list(
     State(app): State<App>,
+    caller: Caller,
     ApiQuery(query): ApiQuery<ListQuery>,
 ) -> Result<Json<JobList>, ApiError> {
     if !(1..=200).contains(&query.limit) {
@@ -66,6 +68,7 @@ pub(super) async fn list(
     // One more than asked for tells whether there is a next page.
     let filter = ListFilter {
         state: query.state,
+        key: caller.sees_only(),
         created_from: time("created_from", &query.created_from)?,
         created_before: time("created_before", &query.created_before)?,
         before: query.cursor,

@@ -16,9 +16,12 @@ impl SqliteQueue {
     pub(super) async fn insert_job(&self, new: NewJob) -> Result<Job, QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
+        if let Some(key) = new.key {
+            self.check_quota(&mut tx, key, new.inputs.values().map(|part| part.bytes).sum()).await?;
+        }
         sqlx::query(
             "INSERT INTO jobs (id, state, options, inputs, clip, priority, created_at, run_at, updated_at, max_attempts, \
-             deadline_at) VALUES (?1, 'queued', ?2, ?3, ?4, ?5, ?6, ?6, ?6, ?7, ?8)",
+             deadline_at, key_id) VALUES (?1, 'queued', ?2, ?3, ?4, ?5, ?6, ?6, ?6, ?7, ?8, ?9)",
         )
         .bind(new.id.to_string())
         .bind(to_json(&new.options))
@@ -28,6 +31,7 @@ impl SqliteQueue {
         .bind(now.0)
         .bind(self.policy.max_attempts)
         .bind(new.options.deadline_secs.map(|secs| now.plus(Duration::from_secs(secs)).0))
+        .bind(new.key.map(|key| key.to_string()))
         .execute(&mut *tx)
         .await?;
         let job = rows::read(&mut tx, new.id).await?.ok_or(sqlx::Error::RowNotFound)?;
@@ -43,13 +47,14 @@ impl SqliteQueue {
     pub(super) async fn list_jobs(&self, filter: ListFilter) -> Result<Vec<Job>, QueueError> {
         let found = sqlx::query(select_jobs!(
             "WHERE (?1 IS NULL OR j.state = ?1) AND (?2 IS NULL OR j.id < ?2) AND (?3 IS NULL OR j.created_at >= ?3) \
-             AND (?4 IS NULL OR j.created_at < ?4) ORDER BY j.id DESC LIMIT ?5"
+             AND (?4 IS NULL OR j.created_at < ?4) AND (?6 IS NULL OR j.key_id = ?6) ORDER BY j.id DESC LIMIT ?5"
         ))
         .bind(filter.state.map(State::name))
         .bind(filter.before.map(|id| id.to_string()))
         .bind(filter.created_from.map(|time| time.0))
         .bind(filter.created_before.map(|time| time.0))
         .bind(filter.limit)
+        .bind(filter.key.map(|key| key.to_string()))
         .fetch_all(&self.readers)
         .await?;
         found.iter().map(rows::job).collect()

@@ -72,6 +72,11 @@ pub(super) fn id(row: &SqliteRow, column: &'static str) -> Result<Uuid, QueueErr
     named(row, column, |text| text.parse().ok())
 }
 
+pub(super) fn optional_id(row: &SqliteRow, column: &'static str) -> Result<Option<Uuid>, QueueError> {
+    let text: Option<&str> = row.try_get(column)?;
+    text.map(|text| text.parse().map_err(|_| QueueError::Corrupt { column, reason: format!("{text:?}") })).transpose()
+}
+
 pub(super) fn time(row: &SqliteRow, column: &'static str) -> Result<Option<Timestamp>, QueueError> {
     Ok(row.try_get::<Option<i64>, _>(column)?.map(Timestamp))
 }

@@ -8,26 +8,40 @@ use super::super::{EventKind, Job, JobError, Lease, NewAvatar, ProgressReport, Q
 use super::rows::{self, add_event, add_state_event, to_json};
 use super::{SqliteQueue, Tx};
 
+/// `claimable!("?n")`: the jobs that may be claimed at the time ?n. Those of a key that has as many with workers as it
+/// may are passed over.
+macro_rules! claimable {
+    ($now:literal) => {
+        concat!(
+            "FROM jobs j WHERE state = 'queued' AND run_at <= ",
+            $now,
+            " AND (deadline_at IS NULL OR deadline_at > ",
+            $now,
+            ") AND (key_id IS NULL OR NOT EXISTS (SELECT 1 FROM api_keys k WHERE k.id = j.key_id AND k.max_running <= \
+             (SELECT count(*) FROM jobs r WHERE r.key_id = k.id AND r.owner IS NOT NULL)))"
+        )
+    };
+}
+
 impl SqliteQueue {
     pub(super) async fn claim_job(&self, owner: &str) -> Result<Option<(Lease, Job)>, QueueError> {
         // An idle worker looks often: the look must not take the writer's lock.
         let now = self.env.now();
-        let waiting: bool =
-            sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND run_at <= ?)")
-                .bind(now.0)
-                .fetch_one(&self.readers)
-                .await?;
+        let waiting: bool = sqlx::query_scalar(concat!("SELECT EXISTS (SELECT 1 ", claimable!("?1"), ")"))
+            .bind(now.0)
+            .fetch_one(&self.readers)
+            .await?;
         if !waiting {
             return Ok(None);
         }
         let mut tx = self.write().await?;
-        let claimed = sqlx::query(
+        let claimed = sqlx::query(concat!(
             "UPDATE jobs SET state = 'running', epoch = epoch + 1, attempt = attempt + 1, owner = ?1, lease_until = ?2, \
              saved_at_claim = saved, started_at = COALESCE(started_at, ?3), updated_at = ?3, version = version + 1 \
-             WHERE id = (SELECT id FROM jobs WHERE state = 'queued' AND run_at <= ?3 \
-             AND (deadline_at IS NULL OR deadline_at > ?3) ORDER BY priority DESC, id LIMIT 1) \
-             RETURNING id, epoch",
-        )
+             WHERE id = (SELECT id ",
+            claimable!("?3"),
+            " ORDER BY priority DESC, id LIMIT 1) RETURNING id, epoch"
+        ))
         .bind(owner)
         .bind(now.plus(self.policy.lease).0)
         .bind(now.0)

@@ -1,5 +1,6 @@
 //! The service over HTTP: each request goes through the whole router, onto a real queue and store.
 
+mod access;
 mod avatars;
 mod events;
 mod jobs;
@@ -33,6 +34,7 @@ struct Bench {
     app: App,
     router: Router,
     queue: Arc<dyn Queue>,
+    keys: Arc<SqliteQueue>,
     store: Arc<Store>,
     env: Env,
     draws: Arc<Draws>,
@@ -96,20 +98,23 @@ impl Bench {
     }
 
     async fn with_limits(limits: Limits) -> Bench {
+        Self::with(limits, Env::system()).await
+    }
+
+    async fn with(limits: Limits, env: Env) -> Bench {
         let folder = tempfile::tempdir().unwrap();
         let store = Arc::new(Store::open(folder.path()).unwrap());
         // The API only asks whether the body is there.
         std::fs::write(store.bodies().join("default.body.npz"), b"").unwrap();
-        let env = Env::system();
         let policy = Policy { backoff: std::time::Duration::from_millis(10), ..Policy::default() };
-        let queue = SqliteQueue::open(&store.database(), env.clone(), policy).await.unwrap();
-        let queue: Arc<dyn Queue> = Arc::new(queue);
+        let keys = Arc::new(SqliteQueue::open(&store.database(), env.clone(), policy).await.unwrap());
+        let queue: Arc<dyn Queue> = keys.clone();
         let draws =
             Arc::new(Draws { folder: store.renders(), asked: Mutex::default(), answer: Mutex::new(Ok(b"drawn")) });
         let inspector = Arc::new(ClipInspector { store: store.clone() });
         let app = App::new(queue.clone(), store.clone(), draws.clone(), inspector, env.clone(), limits);
         let router = effigy::http::router(app.clone());
-        Bench { app, router, queue, store, env, draws, _folder: folder }
+        Bench { app, router, queue, keys, store, env, draws, _folder: folder }
     }
 
     async fn send(&self, request: Request<Body>) -> Reply {
@@ -144,11 +149,15 @@ impl Bench {
 
     /// Puts a job into the queue beside the API.
     async fn add_job(&self) -> Uuid {
+        self.add_job_of(None).await
+    }
+
+    async fn add_job_of(&self, key: Option<Uuid>) -> Uuid {
         let id = self.env.new_id();
         std::fs::create_dir_all(self.store.inputs(id)).unwrap();
         let inputs = BTreeMap::from([("video".to_string(), Part { bytes: 4 })]);
         let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0 };
-        self.queue.insert(NewJob { id, options: JobOptions::default(), inputs, clip }).await.unwrap();
+        self.queue.insert(NewJob { id, key, options: JobOptions::default(), inputs, clip }).await.unwrap();
         id
     }
 
@@ -158,7 +167,11 @@ impl Bench {
 
     /// Makes an avatar with these files.
     async fn publish(&self, files: &[(&str, &[u8])]) -> Uuid {
-        let id = self.add_job().await;
+        self.publish_of(None, files).await
+    }
+
+    async fn publish_of(&self, key: Option<Uuid>, files: &[(&str, &[u8])]) -> Uuid {
+        let id = self.add_job_of(key).await;
         let lease = self.claim().await;
         let folder = self.store.results(id, lease.epoch);
         std::fs::create_dir_all(&folder).unwrap();

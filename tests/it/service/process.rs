@@ -15,8 +15,10 @@ pub struct Serve {
 impl Serve {
     pub fn start(data: &Path, arguments: &[&str]) -> Serve {
         let mut child = Command::new(env!("CARGO_BIN_EXE_effigy"))
-            .args(["serve", "--listen", "127.0.0.1:0", "--data-dir"])
+            .args(["serve", "--data-dir"])
             .arg(data)
+            // An argument may come again: the last one counts.
+            .args(if arguments.contains(&"--listen") { &[][..] } else { &["--listen", "127.0.0.1:0"] })
             .args(arguments)
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
@@ -65,6 +67,40 @@ fn a_server_starts_on_its_defaults_and_ends_when_asked() {
     let serve = Serve::start(data.path(), &["--workers", "0"]);
     assert_eq!(reqwest::blocking::get(format!("{}/healthz", serve.url)).unwrap().text().unwrap(), "ok\n");
     assert!(serve.terminate().success());
+}
+
+fn effigy(data: &Path, arguments: &[&str]) -> (bool, String, String) {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_effigy")).args(arguments).arg("--data-dir").arg(data).output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap().trim().to_string();
+    (output.status.success(), text(output.stdout), text(output.stderr))
+}
+
+#[test]
+fn what_others_can_reach_needs_keys() {
+    let data = tempfile::tempdir().unwrap();
+    let wide = ["serve", "--workers", "0", "--listen", "0.0.0.0:0"];
+    let (ok, _, said) = effigy(data.path(), &wide);
+    assert!(!ok && said.contains("effigy keys create"), "{said}");
+
+    let (ok, token, _) =
+        effigy(data.path(), &["keys", "create", "laptop", "--scopes", "read,write", "--per-minute", "600"]);
+    assert!(ok && token.starts_with("effigy_"), "{token}");
+    let (ok, _, said) = effigy(data.path(), &["keys", "create", "laptop"]);
+    assert!(!ok && said.contains("laptop"), "{said}");
+    let (_, list, _) = effigy(data.path(), &["keys", "list"]);
+    assert!(list.contains("laptop") && list.contains("600 a minute") && !list.contains(&token), "{list}");
+
+    let serve = Serve::start(data.path(), &["--workers", "0", "--listen", "0.0.0.0:0"]);
+    let url = format!("{}/v1/jobs", serve.url.replace("0.0.0.0", "127.0.0.1"));
+    let client = reqwest::blocking::Client::new();
+    let ask = || client.get(&url).bearer_auth(&token).send().unwrap().status().as_u16();
+    assert_eq!((reqwest::blocking::get(&url).unwrap().status().as_u16(), ask()), (401, 200));
+    // The server sees at once what another process does to the keys.
+    assert!(effigy(data.path(), &["keys", "revoke", "laptop"]).0);
+    assert_eq!(ask(), 401);
+    drop(serve);
+    let _open = Serve::start(data.path(), &["--workers", "0", "--listen", "0.0.0.0:0", "--auth", "open"]);
 }
 
 #[test]
