@@ -4,7 +4,11 @@
 //! text tells what was done; what came out is computed ([`Verdict`]).
 
 mod context;
+pub mod cube;
 mod document;
+mod objective;
+mod painter;
+pub mod pose;
 mod report;
 
 use anyhow::Result;
@@ -29,7 +33,7 @@ pub struct Study {
 }
 
 /// All studies in the document's order.
-pub const STUDIES: &[Study] = &[];
+pub const STUDIES: &[Study] = &[cube::STUDY, pose::STUDY];
 
 /// The study of this name.
 pub fn study(name: &str) -> Option<&'static Study> {
