@@ -4,6 +4,7 @@
 //! text tells what was done; what came out is computed ([`Verdict`]).
 
 mod context;
+pub mod cost;
 pub mod cube;
 mod document;
 mod objective;
@@ -33,7 +34,7 @@ pub struct Study {
 }
 
 /// All studies in the document's order.
-pub const STUDIES: &[Study] = &[cube::STUDY, pose::STUDY];
+pub const STUDIES: &[Study] = &[cube::STUDY, pose::STUDY, cost::STUDY];
 
 /// The study of this name.
 pub fn study(name: &str) -> Option<&'static Study> {

@@ -5,4 +5,5 @@ mod config;
 mod fit;
 mod import_rule;
 mod service;
+mod study;
 mod synth;
