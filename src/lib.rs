@@ -1,6 +1,7 @@
 //! Effigy: rigged, textured, animatable 3D avatars from ordinary video. ARCHITECTURE.md has the map.
 
 pub mod avatar;
+pub mod bench;
 pub mod body;
 pub mod camera;
 pub mod capture;

@@ -50,7 +50,7 @@ pub struct Gpu {
     pub(super) kernels: Mutex<HashMap<u64, Arc<Kernel>>>,
     pub(super) memory: Arc<Memory>,
     pub(super) fault: Arc<Mutex<Option<Fault>>>,
-    pub(super) timings: Option<Timings>,
+    pub(super) timings: Timings,
 }
 
 #[derive(Clone, Debug)]
@@ -145,7 +145,7 @@ impl Gpu {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             failed.lock().unwrap().get_or_insert(Fault::Failed(error.to_string()));
         }));
-        Ok(Arc::new(Gpu {
+        let gpu = Gpu {
             info: DeviceInfo {
                 name: info.name.clone(),
                 backend: info.backend.to_string(),
@@ -159,8 +159,10 @@ impl Gpu {
             kernels: Mutex::default(),
             memory: Arc::default(),
             fault,
-            timings: std::env::var_os("EFFIGY_GPU_PROFILE").map(|_| Timings::default()),
-        }))
+            timings: Timings::default(),
+        };
+        gpu.set_profiling(std::env::var_os("EFFIGY_GPU_PROFILE").is_some());
+        Ok(Arc::new(gpu))
     }
 
     pub fn info(&self) -> &DeviceInfo {

@@ -14,4 +14,4 @@ pub use buffer::Buffer;
 pub use device::{DeviceInfo, DeviceSelect, Gpu, GpuError};
 pub use kernel::Kernel;
 pub use recorder::{AnyBuffer, Recorder, linear_groups};
-pub use timing::KernelTime;
+pub use timing::{KernelTime, cpu_secs};

@@ -119,14 +119,14 @@ impl<'g> Recorder<'g> {
 
     /// Hands everything to the device, in order. Does not wait.
     pub fn submit(self) -> Result<(), GpuError> {
-        if let Some(timings) = &self.gpu.timings {
+        if self.gpu.profiling() {
             for command in &self.commands {
                 let label = match command {
                     Command::Dispatch { kernel, .. } => kernel.label.as_str(),
                     Command::Clear(_) => "gpu/clear",
                     Command::Copy { .. } => "gpu/copy",
                 };
-                timings.measure(label, || {
+                self.gpu.timings.measure(label, || {
                     self.encode(std::slice::from_ref(command));
                     self.gpu.wait()
                 })?;

@@ -16,11 +16,16 @@ fn a_report_has_a_line_for_each_operator_that_was_asked_for() {
     }
     assert!(output.status.success(), "{errors}");
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    let names: Vec<&str> = report["ops"].as_array().unwrap().iter().map(|op| op["op"].as_str().unwrap()).collect();
+    let scene = &report["scenes"][0];
+    let ops = scene["ops"].as_array().unwrap();
+    let names: Vec<&str> = ops.iter().map(|op| op["op"].as_str().unwrap()).collect();
     let want = ["interpolate/forward", "interpolate/scatter", "interpolate/gather", "interpolate/backward"];
     assert_eq!(names, want);
-    assert!(report["ops"].as_array().unwrap().iter().all(|op| op["ms"].as_f64().unwrap() > 0.0));
-    // The body fills about a tenth of the image.
-    let covered = report["covered_px"].as_u64().unwrap();
-    assert!((60..400).contains(&covered), "{covered} pixels are covered");
+    // Nothing beats the device's ceilings by more than the ceilings' own noise.
+    assert!(
+        ops.iter().all(|op| op["best_ms"].as_f64().unwrap() > 0.0 && op["ratio"].as_f64().unwrap() > 0.5),
+        "{ops:?}"
+    );
+    let covered = scene["scale"]["covered"].as_f64().unwrap();
+    assert!((60.0..400.0).contains(&covered), "{covered} pixels are covered");
 }

@@ -10,6 +10,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("worker", &["jobs", "storage", "capture", "fit", "avatar", "eval", "gpu", "body"]),
     ("fit", &["ops", "body", "gpu", "capture"]),
     ("avatar", &["ops", "body", "gpu"]),
+    ("bench", &["fit", "avatar", "ops", "body", "gpu", "capture"]),
     ("eval", &["avatar", "ops", "body", "gpu", "capture"]),
     ("study", &["fit", "avatar", "eval", "ops", "body", "gpu", "capture"]),
     ("ops", &["gpu", "body"]),

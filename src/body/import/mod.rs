@@ -76,6 +76,12 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     Ok(imported)
 }
 
+/// The body with about `n_faces` faces, collapsed where that changes its surface least; as it is where it has fewer, or no
+/// texture layout.
+pub fn reduced(body: Body, n_faces: usize) -> Body {
+    simplify::simplify(body, &simplify::Limits { n_faces, max_edge: f64::INFINITY, importance: |_| 1.0 })
+}
+
 /// The four largest influences of a vertex, scaled to sum to 1; equal ones in the joints' order.
 fn prune_weights(dense: &[f64; N_JOINTS]) -> ([u32; N_INFLUENCES], [f32; N_INFLUENCES]) {
     let mut order: [usize; N_JOINTS] = std::array::from_fn(|j| j);

@@ -2,9 +2,8 @@
 
 use std::sync::Arc;
 
-use effigy::gpu::{Buffer, Gpu, Kernel, linear_groups};
-
-use super::Case;
+use super::{Case, Counts, Times};
+use crate::gpu::{Buffer, Gpu, Kernel, linear_groups};
 
 /// Floats that the copy moves: beyond any cache, within what WebGPU binds.
 const COPIED: usize = 16 << 20;
@@ -20,24 +19,42 @@ pub struct Ceilings {
     sums: Buffer<f32>,
 }
 
+/// The device's limits, from the times of [`Ceilings::cases`] alone on the device ([`Times::alone_ms`]).
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Peaks {
+    /// Of an almost empty submission.
+    pub launch_ms: f64,
+    /// Read and written bytes together.
+    pub copy_gb_per_s: f64,
+    /// A fused multiply-add is two operations.
+    pub fma_gflop_per_s: f64,
+}
+
+impl Peaks {
+    /// No device of these limits does the work in less.
+    pub fn floor_ms(&self, needs: Counts) -> f64 {
+        (1e-6 * needs.bytes / self.copy_gb_per_s).max(1e-6 * needs.flops / self.fma_gflop_per_s)
+    }
+}
+
 impl Ceilings {
     pub fn new(gpu: &Gpu) -> Self {
         let constants = [("ROUNDS", format!("{ROUNDS}u")), ("CHAINS", format!("{CHAINS}u"))];
         Self {
-            copy: gpu.kernel("bench/copy", include_str!("../../../shaders/bench/copy.wgsl"), &[]),
-            fma: gpu.kernel("bench/fma", include_str!("../../../shaders/bench/fma.wgsl"), &constants),
+            copy: gpu.kernel("bench/copy", include_str!("../../shaders/bench/copy.wgsl"), &[]),
+            fma: gpu.kernel("bench/fma", include_str!("../../shaders/bench/fma.wgsl"), &constants),
             from: gpu.zeros("bench/from", COPIED),
             to: gpu.zeros("bench/to", COPIED),
             sums: gpu.zeros("bench/sums", LANES),
         }
     }
 
+    /// Launch, copy, multiply-add.
     pub fn cases(&self) -> Vec<Case<'_>> {
         let copy = |len4: usize| -> Case<'_> {
             Case {
                 name: if len4 == 1 { "device/launch" } else { "device/copy" },
-                bytes: 32.0 * len4 as f64,
-                flops: None,
+                needs: Counts { bytes: 32.0 * len4 as f64, flops: 0.0 },
                 record: Box::new(move |recorder| {
                     let groups = linear_groups(len4, 64);
                     recorder.dispatch(&self.copy, &[len4 as u32, 0, 0, 0], &[&self.from, &self.to], groups);
@@ -46,14 +63,23 @@ impl Ceilings {
         };
         let fma = Case {
             name: "device/fma",
-            bytes: 4.0 * LANES as f64,
             // A vector of four in each chain, eight steps in each round.
-            flops: Some(2.0 * (4 * CHAINS * 8 * ROUNDS * LANES) as f64),
+            needs: Counts { bytes: 4.0 * LANES as f64, flops: 2.0 * (4 * CHAINS * 8 * ROUNDS * LANES) as f64 },
             record: Box::new(|recorder| {
                 let groups = [(LANES / 64) as u32, 1, 1];
                 recorder.dispatch(&self.fma, &[0.5f32, 0.0, 0.0, 0.0], &[&self.sums], groups);
             }),
         };
         vec![copy(1), copy(COPIED / 4), fma]
+    }
+
+    /// From the times of [`Ceilings::cases`].
+    pub fn peaks(&self, gpu: &Gpu, times: &[Times]) -> Peaks {
+        let cases = self.cases();
+        Peaks {
+            launch_ms: times[0].best_ms,
+            copy_gb_per_s: 1e-6 * cases[1].needs.bytes / times[1].alone_ms(gpu),
+            fma_gflop_per_s: 1e-6 * cases[2].needs.flops / times[2].alone_ms(gpu),
+        }
     }
 }

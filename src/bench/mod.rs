@@ -1,0 +1,22 @@
+//! What `effigy bench` and `benches/` time: operators on one frame, the device's own limits, and what the work needs at
+//! least.
+
+mod ceilings;
+mod frame;
+mod person;
+mod scale;
+mod timing;
+
+pub use ceilings::{Ceilings, Peaks};
+pub use frame::Frame;
+pub use scale::{Counts, Scale};
+pub use timing::{Times, interleaved, timed};
+
+use crate::gpu::Recorder;
+
+/// One thing to time, with what its contract cannot do without.
+pub struct Case<'a> {
+    pub name: &'static str,
+    pub needs: Counts,
+    pub record: Box<dyn Fn(&mut Recorder<'_>) + 'a>,
+}

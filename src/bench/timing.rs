@@ -1,0 +1,67 @@
+//! Wall times on a machine that others may use too.
+
+use std::time::Instant;
+
+use super::Case;
+use crate::gpu::{Gpu, GpuError, cpu_secs};
+
+/// Times of one thing, milliseconds.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Times {
+    /// The shortest wall time: what the device does when nobody disturbs it.
+    pub best_ms: f64,
+    pub median_ms: f64,
+    /// The shortest CPU time, all threads together. A device that computes on the CPU takes about this over the number of
+    /// cores when it has the machine for itself; on others it is the host's share.
+    pub cpu_ms: f64,
+}
+
+impl Times {
+    /// Of pairs of wall and CPU time.
+    ///
+    /// # Panics
+    /// Without times.
+    pub fn of(pairs: &[[f64; 2]]) -> Self {
+        let [mut wall, mut cpu]: [Vec<f64>; 2] = std::array::from_fn(|k| pairs.iter().map(|pair| pair[k]).collect());
+        wall.sort_by(f64::total_cmp);
+        cpu.sort_by(f64::total_cmp);
+        Self { best_ms: wall[0], median_ms: wall[wall.len() / 2], cpu_ms: cpu[0] }
+    }
+
+    /// What the work takes when it has the device for itself, as far as it uses all of it: the best wall time, or, on a
+    /// device that computes on the CPU, the CPU time over the number of cores, which others on the machine hardly disturb.
+    pub fn alone_ms(&self, gpu: &Gpu) -> f64 {
+        let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
+        if gpu.info().software { self.cpu_ms / cores as f64 } else { self.best_ms }
+    }
+}
+
+/// Wall and CPU time of a call, milliseconds.
+pub fn timed<E>(work: impl FnOnce() -> Result<(), E>) -> Result<[f64; 2], E> {
+    let (start, cpu_start) = (Instant::now(), cpu_secs());
+    work()?;
+    Ok([1e3 * start.elapsed().as_secs_f64(), 1e3 * (cpu_secs() - cpu_start)])
+}
+
+/// Times of submissions that are awaited: one call of each case that compiles and warms up, then `repeats` rounds over
+/// all cases in turn, so that a disturbance hits all alike.
+pub fn interleaved(gpu: &Gpu, cases: &[Case<'_>], repeats: u32) -> Result<Vec<Times>, GpuError> {
+    let once = |case: &Case<'_>| {
+        timed(|| {
+            let mut recorder = gpu.recorder(case.name);
+            (case.record)(&mut recorder);
+            recorder.submit()?;
+            gpu.wait()
+        })
+    };
+    for case in cases {
+        once(case)?;
+    }
+    let mut pairs = vec![Vec::new(); cases.len()];
+    for _ in 0..repeats {
+        for (case, pairs) in cases.iter().zip(&mut pairs) {
+            pairs.push(once(case)?);
+        }
+    }
+    Ok(pairs.iter().map(|pairs| Times::of(pairs)).collect())
+}

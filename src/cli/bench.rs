@@ -1,0 +1,141 @@
+//! `effigy bench`: times the work on this device and compares it with what the device gives at best.
+
+use anyhow::{Context, Result};
+use effigy::bench::{Ceilings, Counts, Frame, Peaks, Scale, Times, interleaved};
+use effigy::body::Body;
+use effigy::data_dir::body_path;
+use effigy::gpu::{DeviceInfo, DeviceSelect, Gpu};
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// Only what has this text in its name.
+    filter: Option<String>,
+    /// A body file or the name of a body; by default the default body, or the small test body where there is none.
+    #[arg(long)]
+    body: Option<String>,
+    /// Reduce the body to so many faces; 13776 is the size of SMPL (6,890 vertices).
+    #[arg(long)]
+    faces: Option<usize>,
+    /// Sides of the square images, pixels.
+    #[arg(long, default_value = "540", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(16..=4096))]
+    size: Vec<u32>,
+    /// Timed rounds over all operators.
+    #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
+    repeats: u32,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(serde::Serialize)]
+struct Line {
+    op: &'static str,
+    #[serde(flatten)]
+    times: Times,
+    #[serde(flatten)]
+    needs: Counts,
+    /// What the work takes when it has the device for itself.
+    alone_ms: f64,
+    /// What it takes at least on a device of these ceilings, and `alone_ms` over that.
+    floor_ms: f64,
+    ratio: f64,
+}
+
+#[derive(serde::Serialize)]
+struct Scene {
+    size_px: u32,
+    scale: Scale,
+    ops: Vec<Line>,
+}
+
+#[derive(serde::Serialize)]
+struct Report<'a> {
+    device: &'a DeviceInfo,
+    body: String,
+    vertices: usize,
+    faces: usize,
+    repeats: u32,
+    ceilings: Peaks,
+    scenes: Vec<Scene>,
+}
+
+pub fn run(args: Args) -> Result<()> {
+    let body = load_body(&args)?;
+    let gpu = Gpu::open(&DeviceSelect::Auto)?;
+    let ceilings = Ceilings::new(&gpu);
+    let peaks = ceilings.peaks(&gpu, &interleaved(&gpu, &ceilings.cases(), args.repeats)?);
+    let mut report = Report {
+        device: gpu.info(),
+        body: body.name.clone(),
+        vertices: body.n_vertices(),
+        faces: body.n_faces(),
+        repeats: args.repeats,
+        ceilings: peaks,
+        scenes: Vec::new(),
+    };
+    if !args.json {
+        print_head(&report);
+    }
+    for &size_px in &args.size {
+        let frame = Frame::new(&gpu, &body, size_px)?;
+        let mut cases = frame.cases();
+        cases.retain(|case| args.filter.as_ref().is_none_or(|text| case.name.contains(text.as_str())));
+        let times = interleaved(&gpu, &cases, args.repeats)?;
+        let line = |(case, times): (&effigy::bench::Case<'_>, Times)| {
+            let (alone_ms, floor_ms) = (times.alone_ms(&gpu), peaks.floor_ms(case.needs));
+            Line { op: case.name, times, alone_ms, needs: case.needs, floor_ms, ratio: alone_ms / floor_ms }
+        };
+        let scene = Scene { size_px, scale: frame.scale(), ops: cases.iter().zip(times).map(line).collect() };
+        if !args.json {
+            print_scene(&scene);
+        }
+        report.scenes.push(scene);
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    }
+    Ok(())
+}
+
+fn load_body(args: &Args) -> Result<Body> {
+    let path = match &args.body {
+        Some(name) if std::path::Path::new(name).is_file() => name.into(),
+        Some(name) => body_path(name),
+        None => body_path("default"),
+    };
+    let body = if args.body.is_none() && !path.is_file() {
+        Body::test_body()
+    } else {
+        Body::load(&path).with_context(|| path.display().to_string())?
+    };
+    Ok(match args.faces {
+        Some(n_faces) => effigy::body::import::reduced(body, n_faces),
+        None => body,
+    })
+}
+
+fn print_head(report: &Report<'_>) {
+    let Report { device, body, vertices, faces, repeats, ceilings, .. } = report;
+    println!("{} ({}, {})", device.name, device.backend, device.driver);
+    println!(
+        "ceilings: {:.2} GB/s copied, {:.1} GFLOP/s of FMA, {:.3} ms a launch",
+        ceilings.copy_gb_per_s, ceilings.fma_gflop_per_s, ceilings.launch_ms
+    );
+    println!("body {body}: {vertices} vertices, {faces} faces; {repeats} rounds; ratio = alone / floor");
+}
+
+fn print_scene(scene: &Scene) {
+    let Scene { size_px, scale, ops } = scene;
+    println!("\n{size_px} × {size_px} pixels, {} covered", scale.covered);
+    let head = ["alone ms", "best ms", "median ms", "MB", "MFLOP", "floor ms", "ratio"];
+    println!("{:<28}{}", "op", head.map(|h| format!("{h:>11}")).concat());
+    for Line { op, times, alone_ms, needs, floor_ms, ratio } in ops {
+        println!(
+            "{op:<28}{alone_ms:>11.3}{:>11.3}{:>11.3}{:>11.2}{:>11.1}{floor_ms:>11.3}{ratio:>11.1}",
+            times.best_ms,
+            times.median_ms,
+            1e-6 * needs.bytes,
+            1e-6 * needs.flops
+        );
+    }
+}
