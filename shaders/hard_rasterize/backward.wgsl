@@ -32,35 +32,37 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     var ga = vec3<f32>(0.0);
     var gb = vec3<f32>(0.0);
     var gc = vec3<f32>(0.0);
-    var x = box.x0;
-    var y = box.y0;
-    while y <= box.y1 {
-        let pixel = u32(y) * params.width + u32(x);
-        if pix_to_face[pixel] == i32(f) {
-            let ray = ray_at(x, y);
-            let m = meet(t, ray);
-            let bary = m.d / m.total;
-            var g = vec3<f32>(grad_bary[3u * pixel], grad_bary[3u * pixel + 1u], grad_bary[3u * pixel + 2u]);
-            if HAS_GRAD_ZBUF {
-                let gz = grad_zbuf[pixel];
-                g += gz * vec3<f32>(t.a.z, t.b.z, t.c.z);
-                ga.z += gz * bary.x;
-                gb.z += gz * bary.y;
-                gc.z += gz * bary.z;
-            }
-            let gd = (g - dot(g, bary)) / m.total;
-            let gqa = vec2<f32>(gd.z * m.qb.y - gd.y * m.qc.y, gd.y * m.qc.x - gd.z * m.qb.x);
-            let gqb = vec2<f32>(gd.x * m.qc.y - gd.z * m.qa.y, gd.z * m.qa.x - gd.x * m.qc.x);
-            let gqc = vec2<f32>(gd.y * m.qa.y - gd.x * m.qb.y, gd.x * m.qb.x - gd.y * m.qa.x);
-            ga += vec3<f32>(gqa, -dot(gqa, ray));
-            gb += vec3<f32>(gqb, -dot(gqb, ray));
-            gc += vec3<f32>(gqc, -dot(gqc, ray));
+    var cursor = vec2<i32>(box.x0, box.y0);
+    loop {
+        // The search for the face's next pixel is cheap, and ends for all lanes of a subgroup before the rest begins.
+        var at = vec2<i32>(-1);
+        while cursor.y <= box.y1 && at.x < 0 {
+            let owned = pix_to_face[u32(cursor.y) * params.width + u32(cursor.x)] == i32(f);
+            at = select(vec2<i32>(-1), cursor, owned);
+            cursor = next_in(box, cursor);
         }
-        x++;
-        if x > box.x1 {
-            x = box.x0;
-            y++;
+        if at.x < 0 {
+            break;
         }
+        let pixel = u32(at.y) * params.width + u32(at.x);
+        let ray = ray_at(at.x, at.y);
+        let m = meet(t, ray);
+        let bary = m.d / m.total;
+        var g = vec3<f32>(grad_bary[3u * pixel], grad_bary[3u * pixel + 1u], grad_bary[3u * pixel + 2u]);
+        if HAS_GRAD_ZBUF {
+            let gz = grad_zbuf[pixel];
+            g += gz * vec3<f32>(t.a.z, t.b.z, t.c.z);
+            ga.z += gz * bary.x;
+            gb.z += gz * bary.y;
+            gc.z += gz * bary.z;
+        }
+        let gd = (g - dot(g, bary)) / m.total;
+        let gqa = vec2<f32>(gd.z * m.qb.y - gd.y * m.qc.y, gd.y * m.qc.x - gd.z * m.qb.x);
+        let gqb = vec2<f32>(gd.x * m.qc.y - gd.z * m.qa.y, gd.z * m.qa.x - gd.x * m.qc.x);
+        let gqc = vec2<f32>(gd.y * m.qa.y - gd.x * m.qb.y, gd.x * m.qb.x - gd.y * m.qa.x);
+        ga += vec3<f32>(gqa, -dot(gqa, ray));
+        gb += vec3<f32>(gqb, -dot(gqb, ray));
+        gc += vec3<f32>(gqc, -dot(gqc, ray));
     }
     write_corner(9u * f, ga);
     write_corner(9u * f + 3u, gb);

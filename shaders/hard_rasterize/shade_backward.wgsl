@@ -17,18 +17,20 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     }
     let box = pixel_box(triangle_at(f));
     var sum = vec3<f32>(0.0);
-    var x = box.x0;
-    var y = box.y0;
-    while y <= box.y1 {
-        let pixel = u32(y) * params.width + u32(x);
-        if pix_to_face[pixel] == i32(f) {
-            sum += vec3<f32>(grad_image[3u * pixel], grad_image[3u * pixel + 1u], grad_image[3u * pixel + 2u]);
+    var cursor = vec2<i32>(box.x0, box.y0);
+    loop {
+        // The search for the face's next pixel is cheap, and ends for all lanes of a subgroup before the rest begins.
+        var at = vec2<i32>(-1);
+        while cursor.y <= box.y1 && at.x < 0 {
+            let owned = pix_to_face[u32(cursor.y) * params.width + u32(cursor.x)] == i32(f);
+            at = select(vec2<i32>(-1), cursor, owned);
+            cursor = next_in(box, cursor);
         }
-        x++;
-        if x > box.x1 {
-            x = box.x0;
-            y++;
+        if at.x < 0 {
+            break;
         }
+        let pixel = u32(at.y) * params.width + u32(at.x);
+        sum += vec3<f32>(grad_image[3u * pixel], grad_image[3u * pixel + 1u], grad_image[3u * pixel + 2u]);
     }
     grad_face_colours[3u * f] += sum.x;
     grad_face_colours[3u * f + 1u] += sum.y;

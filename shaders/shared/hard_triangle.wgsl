@@ -74,6 +74,11 @@ fn depth_of(t: Triangle, m: Meeting) -> f32 {
     return dot(m.d, vec3<f32>(t.a.z, t.b.z, t.c.z)) / m.total;
 }
 
+// The pixel after `at` in a box, row by row; below its last row at the end.
+fn next_in(box: PixelBox, at: vec2<i32>) -> vec2<i32> {
+    return select(at + vec2<i32>(1, 0), vec2<i32>(box.x0, at.y + 1), at.x >= box.x1);
+}
+
 // The pixels whose centres the triangle may cover; empty when a corner is not beyond the near plane.
 fn pixel_box(t: Triangle) -> PixelBox {
     if !(t.a.z > params.near && t.b.z > params.near && t.c.z > params.near) {

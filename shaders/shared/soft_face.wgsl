@@ -30,7 +30,7 @@ struct SoftParams {
     blue: f32,
 }
 
-// Four vec4 a face: corners (normalised), 1/z of the corners, 1/length^2 of the edges ab bc ca, 1/(twice the signed
+// Four vec4 a face: corners (normalised), 1/z of the corners, 1/length^2 of the edges bc ca ab, 1/(twice the signed
 // area), the smallest z of the corners.
 struct SoftFace {
     a: vec2<f32>,
@@ -42,12 +42,27 @@ struct SoftFace {
     inv_length2: vec3<f32>,
 }
 
+// The edges bc, ca, ab (each opposite the corner of its place) against a point, in units of sqrt(sigma). Where the point
+// moves by delta, `line` changes by cross(dir, delta) and `along` by dot(dir, delta): a pixel costs a few additions.
+struct Edges {
+    dir_x: vec3<f32>,
+    dir_y: vec3<f32>,
+    length: vec3<f32>,
+    // Barycentric coordinates are line * to_bary.
+    to_bary: vec3<f32>,
+    // Signed distance from each edge's line, and the place along it.
+    line: vec3<f32>,
+    along: vec3<f32>,
+}
+
+// A face at a pixel.
 struct Fragment {
     counts: bool,
-    // +-d^2/sigma and the vector from the nearest boundary point, whose barycentric coordinates are `foot`.
+    // +-d^2/sigma, + inside.
     x: f32,
-    delta: vec2<f32>,
-    foot: vec3<f32>,
+    // Squared distance to each edge, and how far the point lies beyond the edge's ends.
+    d2: vec3<f32>,
+    over: vec3<f32>,
     // Barycentric coordinates, the same clamped, their sum, and the depth.
     w: vec3<f32>,
     clamped: vec3<f32>,
@@ -68,43 +83,36 @@ fn cross2(a: vec2<f32>, b: vec2<f32>) -> f32 {
     return a.x * b.y - a.y * b.x;
 }
 
-fn fragment_at(f: SoftFace, p: vec2<f32>) -> Fragment {
-    let qa = f.a - p;
-    let qb = f.b - p;
-    let qc = f.c - p;
-    var r: Fragment;
-    r.w = vec3<f32>(cross2(qb, qc), cross2(qc, qa), cross2(qa, qb)) * f.inv_area;
-    let ab = f.b - f.a;
-    let bc = f.c - f.b;
-    let ca = f.a - f.c;
-    let t = clamp(-vec3<f32>(dot(qa, ab), dot(qb, bc), dot(qc, ca)) * f.inv_length2, vec3<f32>(0.0), vec3<f32>(1.0));
-    let to_ab = -(qa + t.x * ab);
-    let to_bc = -(qb + t.y * bc);
-    let to_ca = -(qc + t.z * ca);
-    let d_ab = dot(to_ab, to_ab);
-    let d_bc = dot(to_bc, to_bc);
-    let d_ca = dot(to_ca, to_ca);
-    let bc_first = d_bc < d_ab;
-    var d2 = min(d_ab, d_bc);
-    r.delta = select(to_ab, to_bc, bc_first);
-    r.foot = select(vec3<f32>(1.0 - t.x, t.x, 0.0), vec3<f32>(0.0, 1.0 - t.y, t.y), bc_first);
-    let ca_first = d_ca < d2;
-    d2 = min(d2, d_ca);
-    r.delta = select(r.delta, to_ca, ca_first);
-    r.foot = select(r.foot, vec3<f32>(t.z, 0.0, 1.0 - t.z), ca_first);
-    let inside = all(r.w > vec3<f32>(0.0));
-    r.x = select(-d2, d2, inside) / params.sigma;
-    r.clamped = clamp(r.w, vec3<f32>(0.0), vec3<f32>(1.0));
-    r.total = r.clamped.x + r.clamped.y + r.clamped.z;
-    r.z = r.total / dot(r.clamped, f.inv_z);
-    r.counts = r.x > -params.cut && r.z > params.near && r.z < params.far;
-    return r;
+fn edges_from(f: SoftFace, p: vec2<f32>) -> Edges {
+    let scale = inverseSqrt(params.sigma);
+    let x = vec3<f32>(f.c.x - f.b.x, f.a.x - f.c.x, f.b.x - f.a.x);
+    let y = vec3<f32>(f.c.y - f.b.y, f.a.y - f.c.y, f.b.y - f.a.y);
+    let inv_length = sqrt(f.inv_length2);
+    let length = (x * x + y * y) * inv_length;
+    let qx = (p.x - vec3<f32>(f.b.x, f.c.x, f.a.x)) * scale;
+    let qy = (p.y - vec3<f32>(f.b.y, f.c.y, f.a.y)) * scale;
+    var e: Edges;
+    e.dir_x = x * inv_length;
+    e.dir_y = y * inv_length;
+    e.length = length * scale;
+    e.to_bary = length * f.inv_area / scale;
+    e.line = e.dir_x * qy - e.dir_y * qx;
+    e.along = e.dir_x * qx + e.dir_y * qy;
+    return e;
 }
 
-// ln(1 + exp(-|x|)): -ln D = this + max(-x, 0) and -ln(1 - D) = this + max(x, 0) for D = sigmoid(x).
-fn soft_rest(x: f32) -> f32 {
-    let e = exp(-abs(x));
-    return select(log(1.0 + e), e - 0.5 * e * e, e < 1e-3);
+fn fragment_at(e: Edges, inv_z: vec3<f32>, line: vec3<f32>, along: vec3<f32>) -> Fragment {
+    var r: Fragment;
+    r.over = along - clamp(along, vec3<f32>(0.0), e.length);
+    r.d2 = line * line + r.over * r.over;
+    let nearest = min(r.d2.x, min(r.d2.y, r.d2.z));
+    r.w = line * e.to_bary;
+    r.x = select(-nearest, nearest, all(r.w > vec3<f32>(0.0)));
+    r.clamped = clamp(r.w, vec3<f32>(0.0), vec3<f32>(1.0));
+    r.total = r.clamped.x + r.clamped.y + r.clamped.z;
+    r.z = r.total / dot(r.clamped, inv_z);
+    r.counts = r.x > -params.cut && r.z > params.near && r.z < params.far;
+    return r;
 }
 
 // (z^ - 1)/gamma: all scores count from the near plane, where small differences keep their digits.

@@ -1,16 +1,22 @@
-// Pass 4, one tile a workgroup: colour and alpha, and for the backward pass state = (ln W, ln T): W = sum exp(score), T = prod (1 - D).
+// Pass 4, one tile a workgroup: colour and alpha, and for the backward pass state = (ln W, T): W = sum exp(score),
+// T = prod (1 - D).
 //
 // Each invocation takes every LANES-th face of the tile's list and keeps its share of all the tile's pixels in
 // registers, because fetching a face costs as much as testing it against ten pixels; the shares are merged at the end.
 // A list that did not fit is replaced by all faces: slow, and right.
+//
+// With D = exp(min(x, 0)) / (1 + exp(-|x|)) a share is exp(nearness + min(x, 0)) / (1 + exp(-|x|)): the exponent is what
+// may be too great or small for a float, so the greatest of those is kept apart.
 #import shared/soft_face
 
 #const LANES: u32 = 32u
+// Whether alpha is wanted.
+#const COVERAGE: bool = true
 
 struct Share {
     most: f32,
     weight: f32,
-    log_t: f32,
+    clear: f32,
     colour: vec3<f32>,
 }
 
@@ -23,27 +29,30 @@ struct Share {
 @group(0) @binding(6) var<storage, read_write> alpha: array<f32>;
 @group(0) @binding(7) var<storage, read_write> state: array<vec2<f32>>;
 
-// (most, weight, log_t, red) and (green, blue) of each pixel and invocation.
+// (most, weight, clear, red) and (green, blue) of each pixel and invocation.
 var<workgroup> shares: array<vec4<f32>, TILE_PIXELS * LANES>;
 var<workgroup> shares_gb: array<vec2<f32>, TILE_PIXELS * LANES>;
 
-fn add(share: Share, face: SoftFace, own: vec3<f32>, p: vec2<f32>) -> Share {
-    let r = fragment_at(face, p);
-    let rest = soft_rest(r.x);
-    let score = select(-3e38, nearness(r.z) - rest - max(-r.x, 0.0), r.counts);
-    let e = exp(-abs(score - share.most));
+fn add(share: Share, r: Fragment, own: vec3<f32>) -> Share {
+    let e = exp(-abs(r.x));
+    let inv = 1.0 / (1.0 + e);
+    let score = select(-3e38, nearness(r.z) + min(r.x, 0.0), r.counts);
+    let ratio = exp(-abs(score - share.most));
     let higher = score > share.most;
-    let keep = select(1.0, e, higher);
-    let gain = select(e, 1.0, higher);
-    let log_t = share.log_t - select(0.0, rest + max(r.x, 0.0), r.counts);
-    return Share(max(score, share.most), share.weight * keep + gain, log_t, share.colour * keep + own * gain);
+    let keep = select(1.0, ratio, higher);
+    let gain = select(ratio, 1.0, higher) * inv;
+    var clear = share.clear;
+    if COVERAGE {
+        clear *= select(1.0, select(1.0, e, r.x > 0.0) * inv, r.counts);
+    }
+    return Share(max(score, share.most), share.weight * keep + gain, clear, share.colour * keep + own * gain);
 }
 
 fn merge(a: Share, b: Share) -> Share {
     let most = max(a.most, b.most);
     let ka = exp(a.most - most);
     let kb = exp(b.most - most);
-    return Share(most, a.weight * ka + b.weight * kb, a.log_t + b.log_t, a.colour * ka + b.colour * kb);
+    return Share(most, a.weight * ka + b.weight * kb, a.clear * b.clear, a.colour * ka + b.colour * kb);
 }
 
 @compute @workgroup_size(LANES)
@@ -59,13 +68,14 @@ fn main(
     let x0 = (tile % params.tiles_x) * TILE;
     let y0 = (tile / params.tiles_x) * TILE;
     let origin = pixel_centre(i32(x0), i32(y0));
-    let step = 1.0 / params.norm_px;
+    let step = inverseSqrt(params.sigma) / params.norm_px;
 
-    var own_shares: array<Share, TILE_PIXELS>;
-    for (var i = 0u; i < TILE_PIXELS; i++) {
-        // Less than any score, and more than the score of a fragment that does not count.
-        own_shares[i] = Share(-1e38, 0.0, 0.0, vec3<f32>(0.0));
-    }
+    // Less than any score, and more than the score of a fragment that does not count.
+#for J in 0..TILE
+    #for I in 0..TILE
+    var share_$J_$I = Share(-1e38, 0.0, 1.0, vec3<f32>(0.0));
+    #end
+#end
     var start = starts[tile];
     var end = starts[tile + 1u];
     let listed = end <= params.capacity;
@@ -80,25 +90,39 @@ fn main(
         }
         let face = unpack_face(records[4u * f], records[4u * f + 1u], records[4u * f + 2u], records[4u * f + 3u]);
         let own = vec3<f32>(face_colours[3u * f], face_colours[3u * f + 1u], face_colours[3u * f + 2u]);
-        for (var i = 0u; i < TILE_PIXELS; i++) {
-            own_shares[i] = add(own_shares[i], face, own, origin + step * vec2<f32>(f32(i % TILE), f32(i / TILE)));
+        let e = edges_from(face, origin);
+        let across = step * e.dir_x;
+        let down = step * e.dir_y;
+#for J in 0..TILE
+    #for I in 0..TILE
+        {
+            let line = e.line + $J.0 * across - $I.0 * down;
+            let along = e.along + $I.0 * across + $J.0 * down;
+            let r = fragment_at(e, face.inv_z, line, along);
+            share_$J_$I = add(share_$J_$I, r, own);
         }
+    #end
+#end
     }
     // Nothing to merge in a tile without faces.
     let sharers = min(end - start, LANES);
     if sharers > 0u {
-        for (var i = 0u; i < TILE_PIXELS; i++) {
-            let s = own_shares[i];
-            shares[i * LANES + lane] = vec4<f32>(s.most, s.weight, s.log_t, s.colour.x);
-            shares_gb[i * LANES + lane] = s.colour.yz;
+#for J in 0..TILE
+    #for I in 0..TILE
+        {
+            let at = ($Ju * TILE + $Iu) * LANES + lane;
+            shares[at] = vec4<f32>(share_$J_$I.most, share_$J_$I.weight, share_$J_$I.clear, share_$J_$I.colour.x);
+            shares_gb[at] = share_$J_$I.colour.yz;
         }
+    #end
+#end
     }
     workgroupBarrier();
     for (var i = lane; i < TILE_PIXELS; i += LANES) {
         let x = x0 + i % TILE;
         let y = y0 + i / TILE;
         if x < params.width && y < params.height {
-            var s = Share((params.eps - 1.0) / params.gamma, 1.0, 0.0, vec3<f32>(params.red, params.green, params.blue));
+            var s = Share((params.eps - 1.0) / params.gamma, 1.0, 1.0, vec3<f32>(params.red, params.green, params.blue));
             for (var j = 0u; j < sharers; j++) {
                 let a = shares[i * LANES + j];
                 s = merge(s, Share(a.x, a.y, a.z, vec3<f32>(a.w, shares_gb[i * LANES + j])));
@@ -107,10 +131,10 @@ fn main(
             rgb[3u * pixel] = s.colour.x / s.weight;
             rgb[3u * pixel + 1u] = s.colour.y / s.weight;
             rgb[3u * pixel + 2u] = s.colour.z / s.weight;
-            // 1 - exp(log_t) without cancellation.
-            let series = -s.log_t * (1.0 + 0.5 * s.log_t * (1.0 + s.log_t / 3.0));
-            alpha[pixel] = select(1.0 - exp(s.log_t), series, s.log_t > -0.01);
-            state[pixel] = vec2<f32>(s.most + log(s.weight), s.log_t);
+            if COVERAGE {
+                alpha[pixel] = 1.0 - s.clear;
+            }
+            state[pixel] = vec2<f32>(s.most + log(s.weight), s.clear);
         }
     }
 }

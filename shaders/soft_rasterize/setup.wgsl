@@ -1,6 +1,10 @@
-// Pass 1, one face an invocation: its record, the box of pixels within reach, and a count in each tile of the box.
+// Pass 1, one face an invocation: its record, the box of pixels within reach, and a count in each tile of the box where it
+// is not hidden.
 #import shared/linear_index
 #import shared/soft_face
+
+// Whether `limits` holds how deep each tile is seen.
+#const LIMITED: bool = false
 
 // Faces thinner than this (twice the area, normalised) have no usable depth and are skipped.
 const MIN_AREA: f32 = 1e-12;
@@ -11,6 +15,7 @@ const MIN_AREA: f32 = 1e-12;
 @group(0) @binding(3) var<storage, read_write> records: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> boxes: array<vec2<u32>>; // x0 | x1 << 16, y0 | y1 << 16
 @group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>;
+@group(0) @binding(6) var<storage, read> limits: array<f32>;
 
 fn vertex_at(i: u32) -> vec3<f32> {
     return vec3<f32>(view[3u * i], view[3u * i + 1u], view[3u * i + 2u]);
@@ -37,7 +42,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let z_min = min(va.z, min(vb.z, vc.z));
     let z_max = max(va.z, max(vb.z, vc.z));
     let area = cross2(b - a, c - a);
-    let inv_length2 = 1.0 / max(vec3<f32>(dot(b - a, b - a), dot(c - b, c - b), dot(a - c, a - c)), vec3<f32>(1e-20));
+    let inv_length2 = 1.0 / max(vec3<f32>(dot(c - b, c - b), dot(a - c, a - c), dot(b - a, b - a)), vec3<f32>(1e-20));
     let size = vec2<f32>(f32(params.width), f32(params.height));
     let reach = sqrt(params.cut * params.sigma) + 0.01 / params.norm_px;
     let low = ceil((min(a, min(b, c)) - reach) * params.norm_px + 0.5 * size - 0.5);
@@ -61,10 +66,16 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     records[4u * f + 3u] = vec4<f32>(inv_length2, 0.0);
     let first = vec2<u32>(x0);
     let last = vec2<u32>(x1);
-    boxes[f] = first | (last << vec2<u32>(16u));
+    var seen = false;
     for (var ty = first.y / TILE; ty <= last.y / TILE; ty++) {
         for (var tx = first.x / TILE; tx <= last.x / TILE; tx++) {
-            atomicAdd(&counts[ty * params.tiles_x + tx], 1u);
+            let tile = ty * params.tiles_x + tx;
+            // `fill` makes the same comparison.
+            if !LIMITED || z_min <= limits[tile] {
+                atomicAdd(&counts[tile], 1u);
+                seen = true;
+            }
         }
     }
+    boxes[f] = select(vec2<u32>(1u), first | (last << vec2<u32>(16u)), seen);
 }

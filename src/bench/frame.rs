@@ -35,7 +35,6 @@ struct Gradients {
     offsets: Buffer<f32>,
     face_colours: Buffer<f32>,
     image: Buffer<f32>,
-    alpha: Buffer<f32>,
     rgb: Buffer<f32>,
     coords: Buffer<f32>,
     texcoords: Buffer<f32>,
@@ -151,11 +150,11 @@ impl Frame {
                 self.hard.backward(recorder, &self.camera, view, &grad.image, None, &grad.vertices);
             }),
             case("soft_rasterize/forward", scale.soft_forward(), move |recorder| {
-                soft.forward(recorder, params, &self.camera, view, colours);
+                soft.forward(recorder, params, &self.camera, view, colours, Some(&self.hard.zbuf));
             }),
             case("soft_rasterize/backward", scale.soft_backward(), move |recorder| {
                 let (g_view, g_colours) = (&grad.vertices, &grad.face_colours);
-                soft.backward(recorder, params, &self.camera, colours, &grad.image, &grad.alpha, g_view, g_colours);
+                soft.backward(recorder, params, &self.camera, colours, &grad.image, None, g_view, g_colours);
             }),
         ]
     }
@@ -248,7 +247,6 @@ fn gradients(gpu: &Gpu, body: &Body, n_pixels: usize) -> Gradients {
         offsets: ones("offsets", 3 * v),
         face_colours: ones("face_colours", 3 * f),
         image: ones("image", 3 * n_pixels),
-        alpha: ones("alpha", n_pixels),
         rgb: ones("rgb", 3 * n_pixels),
         coords: ones("coords", 3 * n_pixels),
         texcoords: ones("texcoords", 3 * v),

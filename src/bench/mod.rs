@@ -5,12 +5,14 @@ mod ceilings;
 mod frame;
 mod person;
 mod scale;
+mod step;
 mod timing;
 
 pub use ceilings::{Ceilings, Peaks};
 pub use frame::Frame;
 pub use scale::{Counts, Scale};
-pub use timing::{Times, interleaved, timed};
+pub use step::{StepBench, StepTimes};
+pub use timing::{Times, cores, interleaved, timed};
 
 use crate::gpu::Recorder;
 

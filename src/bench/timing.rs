@@ -31,9 +31,13 @@ impl Times {
     /// What the work takes when it has the device for itself, as far as it uses all of it: the best wall time, or, on a
     /// device that computes on the CPU, the CPU time over the number of cores, which others on the machine hardly disturb.
     pub fn alone_ms(&self, gpu: &Gpu) -> f64 {
-        let cores = std::thread::available_parallelism().map_or(1, |n| n.get());
-        if gpu.info().software { self.cpu_ms / cores as f64 } else { self.best_ms }
+        if gpu.info().software { self.cpu_ms / cores() } else { self.best_ms }
     }
+}
+
+/// Cores that this process may use.
+pub fn cores() -> f64 {
+    std::thread::available_parallelism().map_or(1.0, |n| n.get() as f64)
 }
 
 /// Wall and CPU time of a call, milliseconds.

@@ -1,9 +1,12 @@
 //! `effigy bench`: times the work on this device and compares it with what the device gives at best.
 
+use std::collections::BTreeMap;
+
 use anyhow::{Context, Result};
-use effigy::bench::{Ceilings, Counts, Frame, Peaks, Scale, Times, interleaved};
+use effigy::bench::{Ceilings, Counts, Frame, Peaks, Scale, StepBench, StepTimes, Times, cores, interleaved};
 use effigy::body::Body;
 use effigy::data_dir::body_path;
+use effigy::fit::Stage;
 use effigy::gpu::{DeviceInfo, DeviceSelect, Gpu};
 
 #[derive(clap::Args)]
@@ -22,6 +25,9 @@ pub struct Args {
     /// Timed rounds over all operators.
     #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
     repeats: u32,
+    /// Split the steps by kernel instead of by operator.
+    #[arg(long)]
+    kernels: bool,
     /// Print one JSON object.
     #[arg(long)]
     json: bool,
@@ -46,6 +52,7 @@ struct Scene {
     size_px: u32,
     scale: Scale,
     ops: Vec<Line>,
+    steps: Vec<StepTimes>,
 }
 
 #[derive(serde::Serialize)]
@@ -85,9 +92,22 @@ pub fn run(args: Args) -> Result<()> {
             let (alone_ms, floor_ms) = (times.alone_ms(&gpu), peaks.floor_ms(case.needs));
             Line { op: case.name, times, alone_ms, needs: case.needs, floor_ms, ratio: alone_ms / floor_ms }
         };
-        let scene = Scene { size_px, scale: frame.scale(), ops: cases.iter().zip(times).map(line).collect() };
+        let ops = cases.iter().zip(times).map(line).collect();
+        let mut scene = Scene { size_px, scale: frame.scale(), ops, steps: Vec::new() };
         if !args.json {
             print_scene(&scene);
+        }
+        drop(cases);
+        drop(frame);
+        let steps = StepBench::new(&gpu, &body, size_px, 1)?;
+        for (name, stage) in [("step/geometry", Stage::Geometry), ("step/texture", Stage::Texture)] {
+            if args.filter.as_ref().is_none_or(|text| name.contains(text.as_str())) {
+                let step = steps.run(stage, args.repeats)?;
+                if !args.json {
+                    print_step(&gpu, &step, args.kernels);
+                }
+                scene.steps.push(step);
+            }
         }
         report.scenes.push(scene);
     }
@@ -125,7 +145,7 @@ fn print_head(report: &Report<'_>) {
 }
 
 fn print_scene(scene: &Scene) {
-    let Scene { size_px, scale, ops } = scene;
+    let Scene { size_px, scale, ops, .. } = scene;
     println!("\n{size_px} × {size_px} pixels, {} covered", scale.covered);
     let head = ["alone ms", "best ms", "median ms", "MB", "MFLOP", "floor ms", "ratio"];
     println!("{:<28}{}", "op", head.map(|h| format!("{h:>11}")).concat());
@@ -137,5 +157,31 @@ fn print_scene(scene: &Scene) {
             1e-6 * needs.bytes,
             1e-6 * needs.flops
         );
+    }
+}
+
+/// Where a step's time goes. The parts were run one by one: their sum is more than the step by what a launch costs.
+fn print_step(gpu: &Gpu, step: &StepTimes, by_kernel: bool) {
+    let StepTimes { stage, frames, times, kernels, peak_device_bytes } = step;
+    println!(
+        "\nstage {stage}, a step of {frames} × {}: alone {:.1} ms, best {:.1}, median {:.1}; {:.0} MB of device memory",
+        if *frames == 1 { "frame" } else { "frames" },
+        times.alone_ms(gpu),
+        times.best_ms,
+        times.median_ms,
+        1e-6 * *peak_device_bytes as f64
+    );
+    let mut parts = BTreeMap::<&str, (u64, f64)>::new();
+    for (kernel, time) in kernels {
+        let name = if by_kernel { kernel } else { kernel.split('/').next().unwrap_or(kernel) };
+        let part = parts.entry(name).or_default();
+        let ms = if gpu.info().software { 1e3 * time.cpu_secs / cores() } else { 1e3 * time.secs };
+        *part = (part.0 + time.calls, part.1 + ms);
+    }
+    let mut parts: Vec<_> = parts.into_iter().collect();
+    parts.sort_by(|a, b| b.1.1.total_cmp(&a.1.1));
+    println!("{:<34}{:>11}{:>11}", "part", "commands", "alone ms");
+    for (name, (calls, ms)) in parts {
+        println!("{name:<34}{calls:>11}{ms:>11.3}");
     }
 }

@@ -23,7 +23,7 @@ mod state;
 use std::path::Path;
 use std::sync::Arc;
 
-pub use config::FitConfig;
+pub use config::{FitConfig, Phase};
 pub use control::{Control, Flow, StepReport};
 pub use state::{FitState, Stage};
 
@@ -34,7 +34,7 @@ use crate::gpu::{Gpu, GpuError};
 use crate::npz::NpzError;
 use crate::ops::Topology;
 use scene::Scene;
-use schedule::Outside;
+use schedule::{Outside, Step, Work};
 use stage::StageWork;
 
 /// Why a fit did not end.
@@ -90,6 +90,34 @@ pub fn run(
         }
     }
     Ok(state)
+}
+
+/// Hands `with` a call that records, submits and awaits one step of `state.stage` on `frames` in `phase`, as [`run`] takes
+/// them but for the learning rates, which are zero: every step finds the same scene. For measurements.
+#[expect(clippy::too_many_arguments, reason = "a fit reads a body, a clip, its settings and its controls")]
+pub fn with_step<R>(
+    gpu: &Arc<Gpu>,
+    body: &Body,
+    capture: &Capture,
+    config: &FitConfig,
+    state: &FitState,
+    phase: &Phase,
+    frames: &[usize],
+    with: impl FnOnce(&mut dyn FnMut() -> Result<(), FitError>) -> Result<R, FitError>,
+) -> Result<R, FitError> {
+    let camera = &capture.camera;
+    let levels = frames::upload(gpu, capture, camera, phase.level + 1);
+    let topology = &Topology::new(body.n_vertices(), &body.faces);
+    let scene = Scene::new(gpu, body, topology, levels, camera, &state.transl);
+    let inputs = Inputs { body, topology, capture, camera, config };
+    let mut work = StageWork::new(&scene, &inputs, state)?;
+    work.start_phase(phase)?;
+    let mut number = 0;
+    with(&mut || {
+        number += 1;
+        work.step(&Step { phase, frames, rate: 0.0, number })?;
+        Ok(gpu.wait()?)
+    })
 }
 
 fn run_stage(

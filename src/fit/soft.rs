@@ -14,7 +14,6 @@ const LIST_ENTRIES_PER_FACE: usize = 64;
 pub struct SoftTerm {
     rasterizer: SoftRasterizer,
     pub grad_rgb: Buffer<f32>,
-    pub grad_alpha: Buffer<f32>,
 }
 
 impl SoftTerm {
@@ -24,7 +23,6 @@ impl SoftTerm {
         Self {
             rasterizer: SoftRasterizer::new(gpu, &scene.corners, n, entries),
             grad_rgb: gpu.zeros("fit/grad_soft_rgb", n * 3),
-            grad_alpha: gpu.zeros("fit/grad_soft_alpha", n),
         }
     }
 
@@ -34,9 +32,9 @@ impl SoftTerm {
 
     pub fn clear_gradients(&self, recorder: &mut Recorder<'_>) {
         recorder.clear(&self.grad_rgb);
-        recorder.clear(&self.grad_alpha);
     }
 
+    /// Over the scene's hard image: the colours of what it does not hide.
     pub fn forward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -45,7 +43,7 @@ impl SoftTerm {
         scene: &Scene,
         face_colours: &Buffer<f32>,
     ) {
-        self.rasterizer.forward(recorder, params, camera, &scene.view, face_colours);
+        self.rasterizer.forward(recorder, params, camera, &scene.view, face_colours, Some(&scene.hard.zbuf));
     }
 
     /// Adds to the scene's `grad_view` and to `grad_face_colours`.
@@ -64,7 +62,7 @@ impl SoftTerm {
             camera,
             face_colours,
             &self.grad_rgb,
-            &self.grad_alpha,
+            None,
             &scene.grad_view,
             grad_face_colours,
         );

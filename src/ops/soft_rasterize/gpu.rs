@@ -33,24 +33,52 @@ struct Params {
     background: [f32; 3],
 }
 
+/// The passes that depend on what is wanted.
+struct Passes {
+    setup: Arc<Kernel>,
+    fill: Arc<Kernel>,
+    forward: Arc<Kernel>,
+    pixels: Arc<Kernel>,
+    backward: Arc<Kernel>,
+}
+
+impl Passes {
+    /// Hidden faces have a share in the coverage, so `limits` serve colours alone.
+    fn new(gpu: &Gpu, coverage: bool) -> Self {
+        let tile = ("TILE", format!("{TILE}u"));
+        // A subgroup's width there.
+        let lanes = ("LANES", if gpu.info().software { "8u" } else { "32u" }.to_owned());
+        let covers = ("COVERAGE", coverage.to_string());
+        let lists = [tile.clone(), ("LIMITED", (!coverage).to_string())];
+        Self {
+            setup: kernel!(gpu, "soft_rasterize/setup", &lists),
+            fill: kernel!(gpu, "soft_rasterize/fill", &lists),
+            forward: kernel!(gpu, "soft_rasterize/forward", &[tile, lanes.clone(), covers.clone()]),
+            pixels: kernel!(gpu, "soft_rasterize/pixels", std::slice::from_ref(&covers)),
+            backward: kernel!(gpu, "soft_rasterize/backward", &[lanes, covers]),
+        }
+    }
+}
+
 /// A rasteriser for one mesh and images of up to `max_pixels`. A call uses the start of each image buffer.
 pub struct SoftRasterizer {
     corners: Arc<Corners>,
     max_pixels: usize,
-    setup: Arc<Kernel>,
+    limits_pass: Arc<Kernel>,
     scan: Arc<Kernel>,
-    fill: Arc<Kernel>,
-    forward: Arc<Kernel>,
-    pixels_pass: Arc<Kernel>,
-    backward: Arc<Kernel>,
+    /// With coverage; colours alone.
+    with_coverage: Passes,
+    colours_alone: Passes,
     records: Buffer<f32>,
     boxes: Buffer<[u32; 2]>,
     counts: Buffer<u32>,
     starts: Buffer<u32>,
     cursors: Buffer<u32>,
     entries: Buffer<u32>,
+    limits: Buffer<f32>,
     state: Buffer<f32>,
     pixels: Buffer<f32>,
+    pixels_rest: Buffer<f32>,
     gates: Buffer<f32>,
     grad_corners: Buffer<f32>,
     /// `[H, W, 3]`.
@@ -69,16 +97,11 @@ impl SoftRasterizer {
     pub fn new(gpu: &Gpu, corners: &Arc<Corners>, max_pixels: usize, list_capacity: usize) -> Self {
         let n_faces = corners.n_faces();
         let n_tiles = max_tiles(max_pixels);
-        let tile = [("TILE", format!("{TILE}u"))];
-        // A subgroup's width there.
-        let lanes = if gpu.info().software { "8u" } else { "32u" };
         Self {
-            setup: kernel!(gpu, "soft_rasterize/setup", &tile),
+            limits_pass: kernel!(gpu, "soft_rasterize/limits", &[("TILE", format!("{TILE}u"))]),
             scan: kernel!(gpu, "soft_rasterize/scan"),
-            fill: kernel!(gpu, "soft_rasterize/fill", &tile),
-            forward: kernel!(gpu, "soft_rasterize/forward", &[tile[0].clone(), ("LANES", lanes.to_owned())]),
-            pixels_pass: kernel!(gpu, "soft_rasterize/pixels"),
-            backward: kernel!(gpu, "soft_rasterize/backward"),
+            with_coverage: Passes::new(gpu, true),
+            colours_alone: Passes::new(gpu, false),
             records: gpu.zeros("soft_rasterize/records", n_faces * 16),
             boxes: gpu.zeros("soft_rasterize/boxes", n_faces),
             counts: gpu.zeros("soft_rasterize/counts", n_tiles),
@@ -86,7 +109,9 @@ impl SoftRasterizer {
             cursors: gpu.zeros("soft_rasterize/cursors", n_tiles),
             entries: gpu.zeros("soft_rasterize/entries", list_capacity),
             state: gpu.zeros("soft_rasterize/state", max_pixels * 2),
-            pixels: gpu.zeros("soft_rasterize/pixels", max_pixels * 8),
+            limits: gpu.zeros("soft_rasterize/limits", n_tiles),
+            pixels: gpu.zeros("soft_rasterize/pixels", max_pixels * 4),
+            pixels_rest: gpu.zeros("soft_rasterize/pixels_rest", max_pixels * 2),
             gates: gpu.zeros("soft_rasterize/gates", max_pixels),
             grad_corners: gpu.zeros("soft_rasterize/grad_corners", n_faces * 9),
             rgb: gpu.zeros("soft_rasterize/rgb", max_pixels * 3),
@@ -140,7 +165,12 @@ impl SoftRasterizer {
         }
     }
 
-    /// Records the image into `rgb` and `alpha`.
+    fn passes(&self, coverage: bool) -> &Passes {
+        if coverage { &self.with_coverage } else { &self.colours_alone }
+    }
+
+    /// Records the image into `rgb` and `alpha`; with `surface`, the `zbuf` of the hard image of the same view, `rgb`
+    /// alone.
     ///
     /// # Panics
     /// When the image is larger than this rasteriser was made for, or a buffer does not fit the mesh.
@@ -151,22 +181,29 @@ impl SoftRasterizer {
         camera: &Camera,
         view: &Buffer<f32>,
         face_colours: &Buffer<f32>,
+        surface: Option<&Buffer<f32>>,
     ) {
         assert_eq!(view.len(), self.corners.n_vertices() * 3, "{}: length", view.label());
         assert_eq!(face_colours.len(), self.corners.n_faces() * 3, "{}: length", face_colours.label());
         let params = self.params(params, camera);
-        let Self { records, boxes, counts, starts, cursors, entries, .. } = self;
+        let Self { records, boxes, counts, starts, cursors, entries, limits, .. } = self;
+        let passes = self.passes(surface.is_none());
         let by_face = linear_groups(self.corners.n_faces(), 64);
-        let by_tile = linear_groups(params.n_tiles as usize, 1);
-        recorder.dispatch(&self.setup, &params, &[view, &self.corners.faces, records, boxes, counts], by_face);
+        if let Some(zbuf) = surface {
+            assert!(zbuf.len() >= camera.n_pixels(), "{}: length", zbuf.label());
+            recorder.dispatch(&self.limits_pass, &params, &[zbuf, limits], linear_groups(params.n_tiles as usize, 64));
+        }
+        let buffers: [&dyn AnyBuffer; 6] = [view, &self.corners.faces, records, boxes, counts, limits];
+        recorder.dispatch(&passes.setup, &params, &buffers, by_face);
         recorder.dispatch(&self.scan, &params, &[counts, starts, cursors], [1, 1, 1]);
-        recorder.dispatch(&self.fill, &params, &[boxes, cursors, entries], by_face);
+        recorder.dispatch(&passes.fill, &params, &[boxes, cursors, entries, records, limits], by_face);
         let buffers: [&dyn AnyBuffer; 7] =
             [records, face_colours, starts, entries, &self.rgb, &self.alpha, &self.state];
-        recorder.dispatch(&self.forward, &params, &buffers, by_tile);
+        recorder.dispatch(&passes.forward, &params, &buffers, linear_groups(params.n_tiles as usize, 1));
     }
 
-    /// Records `grad_view +=` and `grad_face_colours +=` the gradients through the last image.
+    /// Records `grad_view +=` and `grad_face_colours +=` the gradients through the last image. Without `grad_alpha`, or
+    /// after an image of colours alone, through its colours.
     ///
     /// # Panics
     /// As [`SoftRasterizer::forward`], and when a gradient is shorter than the image.
@@ -178,22 +215,25 @@ impl SoftRasterizer {
         camera: &Camera,
         face_colours: &Buffer<f32>,
         grad_rgb: &Buffer<f32>,
-        grad_alpha: &Buffer<f32>,
+        grad_alpha: Option<&Buffer<f32>>,
         grad_view: &Buffer<f32>,
         grad_face_colours: &Buffer<f32>,
     ) {
         let n_pixels = camera.n_pixels();
         assert!(grad_rgb.len() >= n_pixels * 3, "{}: length", grad_rgb.label());
-        assert!(grad_alpha.len() >= n_pixels, "{}: length", grad_alpha.label());
+        assert!(grad_alpha.is_none_or(|g| g.len() >= n_pixels), "soft_rasterize: length of grad_alpha");
         assert_eq!(face_colours.len(), self.corners.n_faces() * 3, "{}: length", face_colours.label());
         assert_eq!(grad_face_colours.len(), face_colours.len(), "{}: length", grad_face_colours.label());
         let params = self.params(params, camera);
-        let Self { records, boxes, pixels, gates, grad_corners, .. } = self;
-        let buffers: [&dyn AnyBuffer; 6] = [&self.state, &self.rgb, grad_rgb, grad_alpha, pixels, gates];
-        recorder.dispatch(&self.pixels_pass, &params, &buffers, linear_groups(n_pixels, 64));
-        let buffers: [&dyn AnyBuffer; 7] =
-            [records, boxes, face_colours, pixels, gates, grad_corners, grad_face_colours];
-        recorder.dispatch(&self.backward, &params, &buffers, linear_groups(self.corners.n_faces(), 64));
+        let Self { records, boxes, pixels, pixels_rest, gates, grad_corners, .. } = self;
+        let passes = self.passes(grad_alpha.is_some());
+        // Without a gradient the kernel reads nothing there.
+        let grad_alpha = grad_alpha.unwrap_or(grad_rgb);
+        let buffers: [&dyn AnyBuffer; 7] = [&self.state, &self.rgb, grad_rgb, grad_alpha, pixels, pixels_rest, gates];
+        recorder.dispatch(&passes.pixels, &params, &buffers, linear_groups(n_pixels, 64));
+        let buffers: [&dyn AnyBuffer; 8] =
+            [records, boxes, face_colours, pixels, pixels_rest, gates, grad_corners, grad_face_colours];
+        recorder.dispatch(&passes.backward, &params, &buffers, linear_groups(self.corners.n_faces(), 1));
         self.corners.gather(recorder, grad_corners, grad_view);
     }
 

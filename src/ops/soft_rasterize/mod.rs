@@ -4,7 +4,8 @@
 //! |---|---|---|
 //! | `view` | `[V, 3]` | vertices in camera space, metres |
 //! | `face_colours` | `[F, 3]` | one colour a face |
-//! | `rgb`, `alpha` | `[H, W, 3]`, `[H, W]` | results |
+//! | `surface` | `[H, W]` | optional: the hard image's `zbuf`, −1 where nothing is |
+//! | `rgb`, `alpha` | `[H, W, 3]`, `[H, W]` | results; without `alpha` where `surface` is given |
 //! | `grad_rgb`, `grad_alpha` | as above | read by `backward` |
 //! | `grad_view`, `grad_face_colours` | `[V, 3]`, `[F, 3]` | added to by `backward` |
 //!
@@ -26,11 +27,15 @@
 //! over the silhouette; an infinite-like cut (`1e6`) gives the formula itself. The backward pass also leaves out, face by
 //! face, a share in the colour below `e⁻¹² = 6e-6`, and the gradient of `alpha` where `Π(1 − D)` is below it.
 //!
+//! **Colours alone.** Where coverage is not wanted, `forward` takes the depths of the hard image of the same view and leaves
+//! out, tile by tile, the faces that lie so deep behind all that the tile shows that their share is below `e⁻¹²`. Half of
+//! a body is its far side.
+//!
 //! **Forward** bins faces into tiles of 4 × 4 pixels. The lists together hold `list_capacity` entries; a tile whose list
 //! does not fit goes through all the faces instead: slow, never wrong; [`SoftRasterizer::list_length`] tells. The order
 //! within a list is that of arrival, so two runs may differ in the last bits.
 //!
-//! **Backward** goes face by face over the pixels within reach and writes each face's corners once, in a fixed order and
+//! **Backward** goes face by face, a workgroup each, over the pixels within reach and writes each face's corners once, in a fixed order and
 //! without float atomics.
 
 pub mod cpu;

@@ -1,0 +1,135 @@
+//! Whole optimisation steps, as the fit takes them, on a made clip whose frames are as large as their image.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::person::Person;
+use super::timing::{Times, timed};
+use crate::body::Body;
+use crate::capture::{Capture, Frame};
+use crate::fit::{FitConfig, FitError, FitState, Phase, Stage, with_step};
+use crate::gpu::{Gpu, KernelTime};
+use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
+use crate::ops::skinning::cpu::forward;
+use crate::ops::{Corners, Topology};
+
+/// How far the seen person stands beside the body that a step starts with, metres.
+const ASIDE_M: f32 = 0.01;
+
+/// A step of a stage.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct StepTimes {
+    pub stage: u32,
+    pub frames: usize,
+    pub times: Times,
+    /// Kernels, each dispatch submitted and awaited alone: sums over a step.
+    pub kernels: BTreeMap<String, KernelTime>,
+    /// Of all device buffers, so far in this process.
+    pub peak_device_bytes: u64,
+}
+
+impl StepTimes {
+    /// Dispatches, clears and copies.
+    pub fn commands(&self) -> u64 {
+        self.kernels.values().map(|k| k.calls).sum()
+    }
+}
+
+/// A clip of a standing body, and the state of a fit that starts beside it.
+pub struct StepBench {
+    gpu: Arc<Gpu>,
+    body: Body,
+    config: FitConfig,
+    capture: Capture,
+    state: FitState,
+}
+
+impl StepBench {
+    /// `n_frames` equal frames of `size` × `size` pixels.
+    pub fn new(gpu: &Arc<Gpu>, body: &Body, size: u32, n_frames: usize) -> Result<Self, FitError> {
+        let config = FitConfig::standard(1);
+        let person = Person::new(body, size);
+        let Person { pose, transl, .. } = person;
+        let frame = frame(gpu, body, &person)?;
+        let poses = vec![pose; n_frames];
+        let state =
+            FitState::new(body, vec![0.0; body.n_betas], &poses, &vec![transl; n_frames], config.field, config.seed);
+        let capture = Capture {
+            camera: person.camera,
+            camera_estimated: false,
+            fps: 30.0,
+            frames: (0..n_frames as u32).map(|index| Frame { index, ..frame.clone() }).collect(),
+            keypoint_format: "coco17".to_owned(),
+            poses: None,
+            warnings: Vec::new(),
+        };
+        Ok(Self { gpu: gpu.clone(), body: body.clone(), config, capture, state })
+    }
+
+    /// Calls `with` with one step on all frames in the last phase of a stage of `standard`: full resolution.
+    fn with<R>(
+        &self,
+        stage: Stage,
+        with: impl FnOnce(&mut dyn FnMut() -> Result<(), FitError>) -> Result<R, FitError>,
+    ) -> Result<R, FitError> {
+        let state = FitState { stage, ..self.state.clone() };
+        let config = &self.config;
+        let phases = if stage == Stage::Geometry { &config.geometry.phases } else { &config.texture.phases };
+        let phase: &Phase = phases.last().expect("a stage has phases");
+        let frames: Vec<usize> = (0..self.capture.frames.len()).collect();
+        with_step(&self.gpu, &self.body, &self.capture, config, &state, phase, &frames, with)
+    }
+
+    /// Times of one step on all frames: `repeats` steps after one that compiles, then a few that are profiled.
+    pub fn run(&self, stage: Stage, repeats: u32) -> Result<StepTimes, FitError> {
+        let gpu = &self.gpu;
+        let profiled = repeats.div_ceil(4);
+        let (pairs, mut kernels) = self.with(stage, |step| {
+            step()?;
+            let pairs = (0..repeats).map(|_| timed(&mut *step)).collect::<Result<Vec<_>, _>>()?;
+            gpu.take_timings();
+            gpu.set_profiling(true);
+            let result = (0..profiled).try_for_each(|_| step());
+            gpu.set_profiling(false);
+            result?;
+            Ok((pairs, gpu.take_timings()))
+        })?;
+        for time in kernels.values_mut() {
+            time.calls /= u64::from(profiled);
+            time.secs /= f64::from(profiled);
+            time.cpu_secs /= f64::from(profiled);
+        }
+        Ok(StepTimes {
+            stage: if stage == Stage::Geometry { 1 } else { 2 },
+            frames: self.capture.frames.len(),
+            times: Times::of(&pairs),
+            kernels,
+            peak_device_bytes: gpu.peak_bytes(),
+        })
+    }
+}
+
+/// The person as a camera sees it, beside its place, with colours that change over the image.
+fn frame(gpu: &Arc<Gpu>, body: &Body, person: &Person) -> Result<Frame, FitError> {
+    let Person { camera, pose, transl } = person;
+    let [x, y, z] = *transl;
+    let seen = forward(body, &[], None, pose, [x + ASIDE_M, y, z]).vertices;
+    let corners = Arc::new(Corners::new(gpu, &body.faces, &Topology::new(body.n_vertices(), &body.faces)));
+    let hard = HardRasterizer::new(gpu, &corners, camera.n_pixels(), HardRasterizeConfig::default());
+    let mut recorder = gpu.recorder("bench/frame");
+    hard.forward(&mut recorder, camera, &gpu.upload("bench/seen", seen.as_flattened()));
+    recorder.submit()?;
+    let mask: Vec<u8> = gpu.read(&hard.alpha)?.iter().map(|&a| 255 * u8::from(a > 0.5)).collect();
+    let colour = |i: usize| [i % 251, i / 7 % 241, i / 61 % 239].map(|x| x as u8);
+    let middle = [camera.cx as f32, camera.cy as f32, 1.0];
+    Ok(Frame {
+        index: 0,
+        x0: 0,
+        y0: 0,
+        width: camera.width,
+        height: camera.height,
+        rgb: (0..mask.len()).flat_map(colour).collect(),
+        mask,
+        keypoints: vec![middle; 17],
+    })
+}
