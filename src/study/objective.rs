@@ -98,7 +98,6 @@ pub struct ImageTerms {
     grad_alpha: Buffer<f32>,
     grad_soft: Buffer<f32>,
     /// Stays zero: the soft coverage is no part of any objective.
-    grad_soft_alpha: Buffer<f32>,
     /// What the operators find for colours, which are known here.
     grad_face_colours: Buffer<f32>,
     /// Sums over the recorded views, unweighted; see the constants above.
@@ -130,7 +129,6 @@ impl ImageTerms {
             grad_image: gpu.zeros("study/grad_image", n * 3),
             grad_alpha: gpu.zeros("study/grad_alpha", n),
             grad_soft: gpu.zeros("study/grad_soft", n * 3),
-            grad_soft_alpha: gpu.zeros("study/grad_soft_alpha", n),
             grad_face_colours: gpu.zeros("study/grad_face_colours", corners.n_faces() * 3),
             losses: gpu.zeros("study/losses", 3),
             objective,
@@ -182,21 +180,12 @@ impl ImageTerms {
         };
         // Outside the mask the blur of near faces would only pull the mesh inwards, against the silhouette.
         let inside = Some(&view.inside);
-        rasterizer.forward(recorder, &params, camera, points, face_colours);
+        rasterizer.forward(recorder, &params, camera, points, face_colours, Some(&self.hard.zbuf));
         self.rgb.forward(recorder, n, &rasterizer.rgb, target, inside, slot(RGB_SOFT));
         recorder.clear(&self.grad_soft);
         self.rgb.backward(recorder, n, &rasterizer.rgb, target, inside, rgb_weight, &self.grad_soft);
-        let Self { grad_soft, grad_soft_alpha, grad_face_colours, .. } = self;
-        rasterizer.backward(
-            recorder,
-            &params,
-            camera,
-            face_colours,
-            grad_soft,
-            grad_soft_alpha,
-            grad_points,
-            grad_face_colours,
-        );
+        let Self { grad_soft, grad_face_colours, .. } = self;
+        rasterizer.backward(recorder, &params, camera, face_colours, grad_soft, None, grad_points, grad_face_colours);
     }
 
     /// The losses since the last call: silhouette, hard colours, soft colours. Waits.
