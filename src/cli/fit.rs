@@ -85,7 +85,8 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
         "draft" => Preset::Draft,
         "standard" => Preset::Standard,
         "paper" => Preset::Paper,
-        other => bail!("preset {other:?}: expected draft, standard or paper"),
+        "silhouette-only" => Preset::SilhouetteOnly,
+        other => bail!("preset {other:?}: expected draft, standard, paper or silhouette-only"),
     };
     let options = JobOptions {
         preset,

@@ -92,7 +92,7 @@ pub struct FitConfig {
     pub rates: Rates,
     /// Stage 1, with one colour a face.
     pub geometry: StageConfig,
-    /// Stage 2, with the hash texture.
+    /// Stage 2, with the texture.
     pub texture: StageConfig,
     /// Part of the covered pixels that a texture step looks at.
     pub pixel_rate: f32,
@@ -139,6 +139,31 @@ impl FitConfig {
             pixel_rate: 0.5,
             field: TextureFieldConfig::default(),
         }
+    }
+
+    /// As [`FitConfig::standard`], but with a geometry that has seen no colours (after Alldieck et al. 2018, VideoAvatar):
+    /// silhouettes, keypoints and the regularisers alone; the texture is fitted afterwards, and poses stand meanwhile.
+    pub fn silhouette_only(seed: u64) -> Self {
+        let mut config = Self::standard(seed);
+        for weights in [&mut config.geometry.weights, &mut config.texture.weights] {
+            (weights.rgb, weights.rgb_soft) = (0.0, 0.0);
+        }
+        config.texture.weights.rgb = 1.0;
+        config.texture.phases.iter_mut().for_each(|phase| phase.pose_rate = 0.0);
+        config
+    }
+
+    /// Everything at once, the paper's "moving targets" (§3.6): the losses of the geometry stage, and as many passes as
+    /// both stages have; those of the texture stage go on like the last of the geometry stage.
+    pub fn joint(mut self) -> Self {
+        let mut phases = std::mem::take(&mut self.geometry.phases);
+        let last = phases.last().cloned();
+        let more = self.texture.phases.iter();
+        phases.extend(more.map(|p| last.clone().map_or(p.clone(), |last| Phase { epochs: p.epochs, ..last })));
+        self.texture = StageConfig { phases, ..self.geometry.clone() };
+        // Borders need a whole image.
+        self.pixel_rate = 1.0;
+        self
     }
 
     /// The paper's method as far as it tells: NMR silhouettes, plain offsets, full resolution throughout.
@@ -189,9 +214,20 @@ mod tests {
 
     #[test]
     fn a_configuration_comes_back_from_json() {
-        for config in [FitConfig::draft(1), FitConfig::standard(2), FitConfig::paper(3)] {
+        for config in
+            [FitConfig::draft(1), FitConfig::standard(2).joint(), FitConfig::paper(3), FitConfig::silhouette_only(4)]
+        {
             let json = serde_json::to_string(&config).unwrap();
             assert_eq!(serde_json::from_str::<FitConfig>(&json).unwrap(), config);
         }
+    }
+
+    #[test]
+    fn the_joint_fit_has_the_passes_of_both_stages() {
+        let passes = |config: &FitConfig| config.phases().map(|p| p.epochs).sum::<u32>();
+        let (standard, joint) = (FitConfig::standard(0), FitConfig::standard(0).joint());
+        assert_eq!(passes(&joint), passes(&standard));
+        assert!(joint.geometry.phases.is_empty() && joint.texture.shape && joint.texture.phases.len() == 4);
+        assert_eq!(joint.texture.weights, standard.geometry.weights);
     }
 }

@@ -25,7 +25,7 @@ use std::sync::Arc;
 
 pub use config::{FitConfig, Phase};
 pub use control::{Control, Flow, StepReport};
-pub use state::{FitState, Stage};
+pub use state::{FitState, Stage, Texels};
 
 use crate::body::Body;
 use crate::camera::Camera;
@@ -33,8 +33,11 @@ use crate::capture::Capture;
 use crate::gpu::{Gpu, GpuError};
 use crate::npz::NpzError;
 use crate::ops::Topology;
+use groups::PoseGroups;
+use look::mean_face_colours;
 use scene::Scene;
 use schedule::{Outside, Step, Work};
+use shape::Shape;
 use stage::StageWork;
 
 /// Why a fit did not end.
@@ -130,7 +133,17 @@ fn run_stage(
     let stage = if state.stage == Stage::Geometry { &config.geometry } else { &config.texture };
     let mut work = StageWork::new(scene, inputs, state)?;
     schedule::run(scene, config, &stage.phases, &mut work, state, outside)?;
+    if state.stage == Stage::Geometry && !stage.weights.compare_colours() {
+        solve_colours(scene, &inputs.body.faces, state)?;
+    }
     check_finite(state)
+}
+
+/// Face colours for a geometry that was fitted without looking at colours.
+fn solve_colours(scene: &Scene, faces: &[[u32; 3]], state: &mut FitState) -> Result<(), FitError> {
+    Shape::stand(scene, state)?;
+    state.face_colours = mean_face_colours(scene, faces, &PoseGroups::new(&scene.gpu, state), 0)?;
+    Ok(())
 }
 
 /// The losses of a step may still be finite when its update is not.

@@ -1,12 +1,12 @@
 //! What a step of a stage does (paper §3.6). Stage 1 fits β, D, θᵢ, Rᵢ, tᵢ and one colour a face, so that the mesh comes to
-//! lie where image and silhouette have it. In stage 2 shape and face colours stand; the hash texture is trained while the
-//! poses are refined through it and through the soft image.
+//! lie where image and silhouette have it. In stage 2 shape and face colours stand; the texture is trained while the poses
+//! are refined through it and through the soft image. A second stage that fits the shape too is the paper's naive way.
 
 use super::config::{FitConfig, Phase, StageConfig};
 use super::frame_step::{BACKGROUND, FrameStep};
 use super::groups::PoseGroups;
 use super::keypoint_term::KeypointTerm;
-use super::look::{FaceColours, FieldTexture, Look};
+use super::look::{FaceColours, Look, Texture};
 use super::losses::{Losses, Term};
 use super::motion::Motion;
 use super::scene::Scene;
@@ -43,7 +43,7 @@ impl<'a> StageWork<'a> {
                 let faces = &inputs.body.faces;
                 (&config.geometry, Box::new(FaceColours::new(scene, faces, &config.geometry.weights, state)))
             }
-            _ => (&config.texture, Box::new(FieldTexture::new(scene, config, state)?)),
+            _ => (&config.texture, Box::new(Texture::new(scene, config, state)?)),
         };
         let weights = &stage.weights;
         let shape = stage.shape.then(|| Shape::new(scene, inputs, state));

@@ -19,6 +19,25 @@ pub enum Stage {
     Done,
 }
 
+/// A plain texture on a layout of the faces, see [`crate::ops::texel_map`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Texels {
+    /// `[U, 2]`: u to the right, v down, in [0, 1]
+    pub uvs: Vec<[f32; 2]>,
+    /// `[F, 3]`: corners of each face in `uvs`
+    pub uv_faces: Vec<[u32; 3]>,
+    pub side: usize,
+    /// `[side, side, 3]`
+    pub values: Vec<f32>,
+}
+
+impl Texels {
+    /// All grey.
+    pub fn grey(uvs: Vec<[f32; 2]>, uv_faces: Vec<[u32; 3]>, side: usize) -> Self {
+        Self { uvs, uv_faces, side, values: vec![0.5; 3 * side * side] }
+    }
+}
+
 /// All parameters of an avatar in the making (paper §3.1: β, D, {θᵢ, Rᵢ, tᵢ}, φ). The rotation Rᵢ is joint 0 of θᵢ.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FitState {
@@ -38,6 +57,8 @@ pub struct FitState {
     /// `[V, 3]`, 0…1
     pub texcoords: Vec<f32>,
     pub field: TextureFieldParams,
+    /// Fitted in stage 2 instead of the field, where present.
+    pub texels: Option<Texels>,
 }
 
 impl FitState {
@@ -60,6 +81,7 @@ impl FitState {
             transl: transl.concat(),
             face_colours: vec![0.5; body.n_faces() * 3],
             field: TextureFieldParams::random(&field, seed),
+            texels: None,
         }
     }
 
@@ -94,8 +116,8 @@ impl FitState {
         Ok(())
     }
 
-    fn arrays(&self) -> [(&'static str, &Vec<f32>); 10] {
-        [
+    fn arrays(&self) -> Vec<(&'static str, &Vec<f32>)> {
+        let mut arrays = vec![
             ("betas", &self.betas),
             ("offsets", &self.offsets),
             ("poses", &self.poses),
@@ -106,7 +128,9 @@ impl FitState {
             ("field_w0", &self.field.w0),
             ("field_w1", &self.field.w1),
             ("field_w2", &self.field.w2),
-        ]
+        ];
+        arrays.extend(self.texels.as_ref().map(|texels| ("texels", &texels.values)));
+        arrays
     }
 
     /// Reads a checkpoint into a state of the same shapes. `None` where it belongs to another fit: another number of
@@ -140,6 +164,9 @@ impl FitState {
         take("field_w0", &mut state.field.w0)?;
         take("field_w1", &mut state.field.w1)?;
         take("field_w2", &mut state.field.w2)?;
+        if let Some(texels) = &mut state.texels {
+            take("texels", &mut texels.values)?;
+        }
         Ok(whole.then_some(state))
     }
 }

@@ -24,6 +24,7 @@ const SHARED: &[(&str, &str)] = &[
     ("shared/silhouette", include_str!("../../shaders/shared/silhouette.wgsl")),
     ("shared/soft_face", include_str!("../../shaders/shared/soft_face.wgsl")),
     ("shared/target_pixel", include_str!("../../shaders/shared/target_pixel.wgsl")),
+    ("shared/texel_cell", include_str!("../../shaders/shared/texel_cell.wgsl")),
     ("shared/unit_or_zero", include_str!("../../shaders/shared/unit_or_zero.wgsl")),
     ("shared/workgroup_sum", include_str!("../../shaders/shared/workgroup_sum.wgsl")),
 ];

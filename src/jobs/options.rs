@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// How much work a fit does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "kebab-case")]
 pub enum Preset {
     /// A first look: few frames, few iterations, a small picture.
     Draft,
@@ -13,6 +13,8 @@ pub enum Preset {
     Standard,
     /// The published method's sizes and iterations.
     Paper,
+    /// For comparisons: as standard, but the geometry is fitted to silhouettes and keypoints alone.
+    SilhouetteOnly,
 }
 
 /// The `options` part of an upload. Every field may be left out.
@@ -148,6 +150,12 @@ mod tests {
         let options = JobOptions::parse(json).unwrap();
         assert_eq!((options.preset, options.max_frames, options.max_side_px), (Preset::Draft, Some(30), Some(360)));
         assert_eq!((options.body.as_str(), options.seed, options.texture_px), ("smpl-neutral", 7, 4096));
+    }
+
+    #[test]
+    fn presets_have_names_with_hyphens() {
+        let options = JobOptions::parse(br#"{"preset":"silhouette-only"}"#).unwrap();
+        assert_eq!(options.preset, Preset::SilhouetteOnly);
     }
 
     #[test]

@@ -43,6 +43,7 @@ mod target;
 pub mod temporal;
 #[cfg(test)]
 pub(crate) mod testing;
+pub mod texel_map;
 pub mod texture_field;
 pub mod topology;
 

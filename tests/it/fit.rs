@@ -1,14 +1,15 @@
 //! The pipeline on a small made clip: it recovers the person, stops when asked and goes on from its checkpoint.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-use effigy::avatar::AvatarModel;
+use effigy::avatar::{AvatarModel, UvLayout};
 use effigy::body::Body;
 use effigy::capture::{Capture, CaptureOptions};
 use effigy::eval::{SynthOptions, synthesise};
 use effigy::fit::stage0::{self, Stage0Options};
-use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
+use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport, Texels};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
 use effigy::worker::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput, Progress, Stage, StopReason};
@@ -130,28 +131,117 @@ fn a_stopped_fit_goes_on_from_its_checkpoint() {
     assert!(witness.heard.iter().any(|p| p.stage == Stage::Geometry && p.step == 1));
 }
 
-struct Patient;
+/// Lets the fit run and keeps the last losses of each stage.
+#[derive(Default)]
+struct Patient {
+    losses: BTreeMap<&'static str, BTreeMap<&'static str, f32>>,
+}
 
 impl Control for Patient {
-    fn after_step(&mut self, _report: &StepReport<'_>) -> Flow {
+    fn after_step(&mut self, report: &StepReport<'_>) -> Flow {
+        if let Some(losses) = report.losses {
+            let stage = if report.stage == fit::Stage::Geometry { "geometry" } else { "texture" };
+            self.losses.insert(stage, losses.clone());
+        }
         Flow::Continue
     }
+}
+
+/// A clip with its start, for fits without the pipeline around them.
+struct Start {
+    body: Body,
+    capture: Capture,
+    camera: effigy::camera::Camera,
+    state: FitState,
+}
+
+impl Start {
+    fn new(gpu: &Arc<Gpu>, max_frames: u32) -> Self {
+        let body = Body::test_body();
+        let inputs = input(clip(gpu)).capture_inputs();
+        let capture = Capture::load(&inputs, &CaptureOptions { max_frames, max_side_px: 96 }).unwrap();
+        let start = stage0::solve(&body, &capture, &Stage0Options::default(), &mut |_| true).unwrap();
+        let field = FitConfig::draft(0).field;
+        let state = FitState::new(&body, start.betas, &start.poses, &start.transl, field, 0);
+        Self { body, capture, camera: start.camera, state }
+    }
+
+    fn fit(&self, gpu: &Arc<Gpu>, config: &FitConfig, state: FitState) -> (Result<FitState, FitError>, Patient) {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, mut patient) = (folder.path().join("checkpoint.npz"), Patient::default());
+        let Self { body, capture, camera, .. } = self;
+        (fit::run(gpu, body, capture, camera, config, state, &path, &mut patient), patient)
+    }
+}
+
+/// The configuration with few passes.
+fn short(mut config: FitConfig) -> FitConfig {
+    for stage in [&mut config.geometry, &mut config.texture] {
+        stage.phases.iter_mut().for_each(|phase| phase.epochs = phase.epochs.min(3));
+    }
+    config
 }
 
 #[test]
 fn a_fit_that_diverges_says_so() {
     let Some(gpu) = gpu("a_fit_that_diverges_says_so") else { return };
-    let input = input(clip(&gpu));
-    let body = Body::test_body();
-    let capture = Capture::load(&input.capture_inputs(), &CaptureOptions { max_frames: 4, max_side_px: 96 }).unwrap();
-    let start = stage0::solve(&body, &capture, &Stage0Options::default(), &mut |_| true).unwrap();
+    let start = Start::new(&gpu, 4);
     let mut config = FitConfig::draft(0);
     config.rates.transl = f32::MAX;
-    let state = FitState::new(&body, start.betas, &start.poses, &start.transl, config.field, 0);
-    let folder = tempfile::tempdir().unwrap();
-    let checkpoint = folder.path().join("checkpoint.npz");
-    let result = fit::run(&gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut Patient);
+    let (result, _) = start.fit(&gpu, &config, start.state.clone());
     assert!(matches!(result, Err(FitError::Diverged { .. })), "{:?}", result.map(|state| state.transl));
+}
+
+#[test]
+fn silhouettes_alone_fit_the_geometry_without_a_look_at_colours() {
+    let Some(gpu) = gpu("silhouettes_alone_fit_the_geometry_without_a_look_at_colours") else { return };
+    let start = Start::new(&gpu, 6);
+    let (state, patient) = start.fit(&gpu, &short(FitConfig::silhouette_only(0)), start.state.clone());
+    let state = state.unwrap();
+    let terms = |stage: &str| patient.losses[stage].keys().copied().collect::<Vec<_>>();
+    assert_eq!(terms("geometry"), ["face_area", "keypoints", "laplacian", "normal_consistency", "silhouette"]);
+    assert_eq!(terms("texture"), ["rgb"]);
+    assert!(state.offsets != start.state.offsets && state.field != start.state.field);
+    assert!(state.face_colours.iter().any(|c| (c - 0.5).abs() > 0.1), "the faces have taken the clip's colours");
+}
+
+#[test]
+fn a_joint_fit_moves_everything_at_once() {
+    let Some(gpu) = gpu("a_joint_fit_moves_everything_at_once") else { return };
+    let start = Start::new(&gpu, 6);
+    let (state, patient) = start.fit(&gpu, &short(FitConfig::draft(0)).joint(), start.state.clone());
+    let (after, before) = (state.unwrap(), &start.state);
+    assert!(!patient.losses.contains_key("geometry"), "no stage comes before");
+    assert_eq!(patient.losses["texture"].len(), 7, "all terms: {:?}", patient.losses);
+    let moved = [
+        after.betas != before.betas,
+        after.offsets != before.offsets,
+        after.poses != before.poses,
+        after.transl != before.transl,
+        after.face_colours != before.face_colours,
+        after.texcoords != before.texcoords,
+        after.field != before.field,
+    ];
+    assert_eq!(moved, [true; 7]);
+    assert!(patient.losses["texture"]["silhouette"] < 0.3, "{:?}", patient.losses);
+}
+
+#[test]
+fn a_texel_map_learns_the_clip_as_the_hash_texture_does() {
+    let Some(gpu) = gpu("a_texel_map_learns_the_clip_as_the_hash_texture_does") else { return };
+    let start = Start::new(&gpu, 6);
+    let mut config = short(FitConfig::draft(0));
+    config.rates.texcoords = 0.0;
+    let hash = start.fit(&gpu, &config, start.state.clone());
+    let layout = UvLayout::of_body(&start.body);
+    let grey = Texels::grey(layout.uvs, layout.uv_faces, 128);
+    let texels = start.fit(&gpu, &config, FitState { texels: Some(grey.clone()), ..start.state.clone() });
+    let (hash_state, texel_state) = (hash.0.unwrap(), texels.0.unwrap());
+    assert_eq!(hash_state.texcoords, start.state.texcoords, "fixed coordinates stand");
+    assert_eq!(texel_state.field, start.state.field, "the field was not touched");
+    assert_ne!(texel_state.texels, Some(grey));
+    let rgb = |patient: &Patient| patient.losses["texture"]["rgb"];
+    assert!(rgb(&texels.1) < 1.5 * rgb(&hash.1), "{} against {}", rgb(&texels.1), rgb(&hash.1));
 }
 
 #[test]

@@ -1,12 +1,13 @@
 //! What colours the surface: one colour a face in stage 1, a texture in stage 2.
 
 mod faces;
-mod field;
 mod mean_colours;
+mod model;
+mod texture;
 
 pub use faces::FaceColours;
-pub use field::FieldTexture;
 pub use mean_colours::mean_face_colours;
+pub use texture::Texture;
 
 use super::FitError;
 use super::config::{Phase, Rates};

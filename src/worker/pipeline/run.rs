@@ -64,7 +64,7 @@ pub fn run(
 fn capture_options(options: &JobOptions) -> CaptureOptions {
     let (max_frames, max_side_px) = match options.preset {
         Preset::Draft => (40, 360),
-        Preset::Standard => (120, 720),
+        Preset::Standard | Preset::SilhouetteOnly => (120, 720),
         Preset::Paper => (120, 1080),
     };
     CaptureOptions {
@@ -78,6 +78,7 @@ fn config_of(options: &JobOptions) -> FitConfig {
         Preset::Draft => FitConfig::draft(options.seed),
         Preset::Standard => FitConfig::standard(options.seed),
         Preset::Paper => FitConfig::paper(options.seed),
+        Preset::SilhouetteOnly => FitConfig::silhouette_only(options.seed),
     }
 }
 

@@ -1,0 +1,192 @@
+//! A texture over the surface (paper §3.2), trained through the hard image. Where the shape stands, the soft image is drawn
+//! with the face colours as they stand; where it is fitted too, each face has the texture's colour in its middle, without
+//! a gradient (the paper's `sg(φ)`).
+
+use super::Look;
+use super::model::TextureModel;
+use crate::fit::FitError;
+use crate::fit::config::{FitConfig, Phase, Rates};
+use crate::fit::frame_step::{BACKGROUND, FrameStep};
+use crate::fit::frames::FrameLevel;
+use crate::fit::groups::{Group, PoseGroups};
+use crate::fit::losses::{Losses, Term};
+use crate::fit::scene::Scene;
+use crate::fit::schedule::Step;
+use crate::fit::state::FitState;
+use crate::gpu::{Buffer, Gpu, Recorder};
+use crate::ops::adam::AdamConfig;
+use crate::ops::edge_gradient::RgbGradient;
+use crate::ops::interpolate::{Interpolate, Sampling};
+use crate::ops::rgb_l1::RgbL1;
+
+/// A texture, its coordinates, and the way from them to pixels and back.
+pub struct Texture {
+    model: TextureModel,
+    steps: u32,
+    /// `[U, 3]`: a row a vertex, or a row a corner of a texel map's layout
+    texcoords: Group,
+    /// `[F, 3]`: the layout's corners; absent, those of the mesh
+    uv_faces: Option<Buffer<u32>>,
+    /// Whether the coordinates are learned.
+    learned: bool,
+    interpolate: Interpolate,
+    rgb: RgbL1,
+    face_colours: Buffer<f32>,
+    /// Scratch: the soft image does not move the colours.
+    grad_face_colours: Buffer<f32>,
+    /// Present where the face colours follow the texture.
+    middles: Option<Middles>,
+    image: Buffer<f32>,
+    grad_image: Buffer<f32>,
+    grad_rgb: Buffer<f32>,
+    grad_coords: Buffer<f32>,
+    grad_bary: Buffer<f32>,
+    /// `[N][level]`: weights of the pixels, see [`trusted_pixels`].
+    trusted: Vec<Vec<Buffer<f32>>>,
+    pixel_rate: f32,
+}
+
+/// The middles of all faces, as an image with a pixel a face.
+struct Middles {
+    interpolate: Interpolate,
+    pix_to_face: Buffer<i32>,
+    bary_coords: Buffer<f32>,
+    n_faces: usize,
+}
+
+impl Middles {
+    fn new(gpu: &Gpu, n_faces: usize) -> Self {
+        let faces: Vec<i32> = (0..n_faces as i32).collect();
+        Self {
+            interpolate: Interpolate::new(gpu, n_faces, n_faces),
+            pix_to_face: gpu.upload("fit/middles/pix_to_face", &faces),
+            bary_coords: gpu.upload("fit/middles/bary_coords", &vec![1.0 / 3.0; 3 * n_faces]),
+            n_faces,
+        }
+    }
+}
+
+/// 1 for pixels well inside the mask, 0 elsewhere: the mask's border mixes the person with the background, and the texture
+/// must not learn that.
+fn trusted_pixels(level: &FrameLevel, pixels: &[u32]) -> Vec<f32> {
+    let (width, height) = (level.width as usize, level.height as usize);
+    let inside = |x: usize, y: usize| x < width && y < height && pixels[y * width + x] >> 24 >= 128;
+    let trusted = |(x, y): (usize, usize)| {
+        let around = [(1, 1), (0, 1), (2, 1), (1, 0), (1, 2)];
+        around.iter().all(|&(dx, dy)| inside((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1))) as u8 as f32
+    };
+    (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(trusted).collect()
+}
+
+impl Texture {
+    pub fn new(scene: &Scene, config: &FitConfig, state: &FitState) -> Result<Self, FitError> {
+        let (gpu, n, n_faces) = (&scene.gpu, scene.max_pixels, scene.corners.n_faces());
+        let trusted = |level: &FrameLevel| -> Result<_, FitError> {
+            Ok(gpu.upload("fit/trusted", &trusted_pixels(level, &gpu.read(&level.target)?)))
+        };
+        let trusted = scene.frames.iter().map(|frame| frame.levels.iter().map(trusted).collect());
+        let zeros = |name: &str| gpu.zeros::<f32>(&format!("fit/{name}"), n * 3);
+        let texels = state.texels.as_ref();
+        let coords = texels.map_or(state.texcoords.clone(), |t| t.uvs.iter().flat_map(|&[u, v]| [u, v, 0.0]).collect());
+        Ok(Self {
+            model: TextureModel::new(gpu, config, state, n.max(n_faces))?,
+            steps: 0,
+            texcoords: Group::whole(gpu, "texcoords", &coords, AdamConfig::default()),
+            uv_faces: texels.map(|t| gpu.upload("fit/uv_faces", t.uv_faces.as_flattened())),
+            learned: texels.is_none() && config.rates.texcoords != 0.0,
+            interpolate: Interpolate::new(gpu, n, n),
+            rgb: RgbL1::new(gpu, n),
+            face_colours: gpu.upload("fit/face_colours", &state.face_colours),
+            grad_face_colours: gpu.zeros("fit/grad_face_colours", state.face_colours.len()),
+            middles: config.texture.shape.then(|| Middles::new(gpu, n_faces)),
+            image: zeros("image"),
+            grad_image: zeros("grad_image"),
+            grad_rgb: zeros("grad_rgb"),
+            grad_coords: zeros("grad_coords"),
+            grad_bary: zeros("grad_bary"),
+            trusted: trusted.collect::<Result<_, FitError>>()?,
+            pixel_rate: config.pixel_rate,
+        })
+    }
+
+    fn faces<'a>(&'a self, scene: &'a Scene) -> &'a Buffer<u32> {
+        self.uv_faces.as_ref().unwrap_or(&scene.corners.faces)
+    }
+}
+
+impl Look for Texture {
+    fn start_phase(&mut self, _scene: &Scene, _poses: &PoseGroups, _phase: &Phase) -> Result<(), FitError> {
+        Ok(())
+    }
+
+    fn start_step(&self, recorder: &mut Recorder<'_>, scene: &Scene) {
+        self.model.clear(recorder);
+        if self.learned {
+            self.texcoords.clear(recorder);
+        }
+        if let Some(Middles { interpolate, pix_to_face, bary_coords, n_faces }) = &self.middles {
+            let (faces, texcoords) = (self.faces(scene), &self.texcoords.values);
+            interpolate.forward(recorder, *n_faces, pix_to_face, bary_coords, faces, texcoords, Sampling::ALL);
+            self.model.forward(recorder, &interpolate.coords, &interpolate.count, *n_faces);
+            interpolate.scatter(recorder, *n_faces, self.model.rgb(), BACKGROUND, &self.face_colours);
+        }
+    }
+
+    fn hard(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: &FrameStep<'_>, moves: bool, losses: &Losses) {
+        let Self { model, interpolate, image, grad_image, grad_rgb, grad_coords, grad_bary, .. } = self;
+        let (camera, n, target) = (&frame.level.camera, frame.level.camera.n_pixels(), frame.target());
+        let (hard, faces, texcoords) = (&scene.hard, self.faces(scene), &self.texcoords.values);
+        let seed = frame.number.wrapping_mul(0x9e37_79b9) ^ frame.frame as u32;
+        let sampling = Sampling { rate: self.pixel_rate as f64, seed };
+        interpolate.forward(recorder, n, &hard.pix_to_face, &hard.bary_coords, faces, texcoords, sampling);
+        let n_max = interpolate.n_max(n);
+        model.forward(recorder, &interpolate.coords, &interpolate.count, n_max);
+        interpolate.scatter(recorder, n, model.rgb(), BACKGROUND, image);
+
+        let weight = frame.per_pixel(frame.weights.rgb) / self.pixel_rate;
+        let trusted = Some(&self.trusted[frame.frame][frame.phase.level]);
+        self.rgb.forward(recorder, n, image, target, trusted, losses.slot(Term::Rgb));
+        recorder.clear(grad_image);
+        self.rgb.backward(recorder, n, image, target, trusted, weight, grad_image);
+        interpolate.gather(recorder, n, grad_image, grad_rgb);
+        recorder.clear(grad_coords);
+        model.backward(recorder, &interpolate.coords, &interpolate.count, n_max, grad_rgb, grad_coords);
+        if self.learned {
+            let grad_texcoords = &self.texcoords.grads;
+            interpolate.backward(recorder, n, &hard.pix_to_face, &hard.bary_coords, faces, grad_coords, grad_texcoords);
+        }
+        if moves {
+            recorder.clear(grad_bary);
+            interpolate.backward_bary(recorder, n, &hard.pix_to_face, faces, texcoords, grad_coords, grad_bary);
+            hard.backward(recorder, camera, &scene.view, grad_bary, None, &scene.grad_view);
+        }
+    }
+
+    /// Only while the shape is fitted; and a sample of the pixels has no borders.
+    fn borders(&self) -> Option<RgbGradient<'_>> {
+        let whole = self.middles.is_some() && self.pixel_rate == 1.0;
+        whole.then_some(RgbGradient { image: &self.image, grad_image: &self.grad_image })
+    }
+
+    fn face_colours(&self) -> (&Buffer<f32>, &Buffer<f32>) {
+        (&self.face_colours, &self.grad_face_colours)
+    }
+
+    fn step(&mut self, recorder: &mut Recorder<'_>, rates: &Rates, step: &Step<'_>) {
+        self.steps += 1;
+        self.model.step(recorder, rates.field * step.rate, self.steps);
+        if self.learned {
+            self.texcoords.step(recorder, &[0], rates.texcoords * step.rate);
+        }
+    }
+
+    fn read_into(&self, scene: &Scene, state: &mut FitState) -> Result<(), FitError> {
+        if self.learned {
+            state.texcoords = self.texcoords.read(&scene.gpu)?;
+        }
+        if self.middles.is_some() {
+            state.face_colours = scene.gpu.read(&self.face_colours)?;
+        }
+        self.model.read_into(&scene.gpu, state)
+    }
+}
