@@ -16,4 +16,5 @@ pub mod npz;
 pub mod ops;
 pub mod storage;
 pub mod study;
+pub mod webhooks;
 pub mod worker;

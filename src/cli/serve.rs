@@ -10,6 +10,7 @@ use effigy::jobs::keys::Keys;
 use effigy::jobs::render::{NoRenderer, Renderer};
 use effigy::jobs::{Env, Queue};
 use effigy::storage::Store;
+use effigy::webhooks::{Courier, Sender, system_lookup};
 use effigy::worker::{Reaper, Supervisor, SupervisorSettings};
 
 use super::service::{asked_to_end, open_queue, open_store, policy, start_log};
@@ -61,7 +62,11 @@ async fn serve(in_force: InForce) -> Result<()> {
 
     let inspector = Arc::new(ClipInspector { store: store.clone() });
     let limits = Limits { upload_bytes: config.max_upload_bytes.0 };
-    let app = App::new(queue.clone(), store, renderer, inspector, env, limits).with_access(access);
+    let app = App::new(queue.clone(), store, renderer, inspector, env.clone(), limits)
+        .with_access(access)
+        .with_webhooks(queue.clone(), config.webhooks_to_private);
+    let sender = Sender::new(system_lookup(), config.webhooks_to_private)?;
+    let courier = tokio::spawn(Courier { webhooks: queue.clone(), sender, env }.run());
     let end = async move {
         asked_to_end().await;
         tracing::info!("the server ends");
@@ -74,6 +79,7 @@ async fn serve(in_force: InForce) -> Result<()> {
         supervision.await?;
     }
     reaper.abort();
+    courier.abort();
     queue.close().await;
     Ok(())
 }

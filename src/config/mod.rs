@@ -94,6 +94,9 @@ settings! {
     serve auth: Auth = "auto";
     /// Origins whose pages may call the API from a browser, as `https://example.org`; `*` for all.
     serve cors_origins: Vec<String> = "";
+    /// Send webhooks also by plain HTTP and to addresses of one's own network. Whoever may make a webhook can then make
+    /// the server talk to what only it can reach.
+    serve webhooks_to_private: bool = "false";
     /// What is logged, in the form of `tracing`'s filters.
     both log: String = "warn,effigy=info";
     /// How it is logged: lines for people, or JSON objects for programs.

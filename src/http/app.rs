@@ -7,6 +7,7 @@ use tokio::sync::{Semaphore, watch};
 
 use super::access::Access;
 use crate::jobs::render::Renderer;
+use crate::jobs::webhooks::Webhooks;
 use crate::jobs::{Clip, Env, JobOptions, Queue};
 use crate::storage::Store;
 
@@ -61,6 +62,8 @@ pub struct App {
     pub env: Env,
     pub limits: Limits,
     pub access: Arc<Access>,
+    /// Where webhooks are kept, and whether they may have private addresses.
+    pub(super) webhooks: Option<(Arc<dyn Webhooks>, bool)>,
     pub(super) inspections: Arc<Semaphore>,
     /// Id of the newest event, and the end of the server: what event streams wait for.
     pub(super) feed: watch::Sender<Feed>,
@@ -82,12 +85,28 @@ impl App {
         limits: Limits,
     ) -> App {
         let inspections = Arc::new(Semaphore::new(INSPECTIONS));
-        let access = Arc::new(Access::open());
-        App { queue, store, renderer, inspector, env, limits, access, inspections, feed: watch::Sender::default() }
+        let (access, webhooks) = (Arc::new(Access::open()), None);
+        App {
+            queue,
+            store,
+            renderer,
+            inspector,
+            env,
+            limits,
+            access,
+            webhooks,
+            inspections,
+            feed: watch::Sender::default(),
+        }
     }
 
     /// Under these rules instead of none.
     pub fn with_access(self, access: Access) -> App {
         App { access: Arc::new(access), ..self }
+    }
+
+    /// With webhooks; `private` allows plain HTTP and addresses of one's own network.
+    pub fn with_webhooks(self, webhooks: Arc<dyn Webhooks>, private: bool) -> App {
+        App { webhooks: Some((webhooks, private)), ..self }
     }
 }

@@ -17,6 +17,7 @@ mod metrics;
 pub mod openapi;
 mod renders;
 mod server;
+mod webhooks;
 
 use std::any::Any;
 use std::time::Duration;
@@ -45,6 +46,7 @@ const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(openapi::Description::openapi())
         .merge(jobs::router())
+        .merge(webhooks::router())
         .routes(routes!(avatars::get))
         .routes(routes!(avatars::mesh))
         .routes(routes!(files::file))

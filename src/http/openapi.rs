@@ -16,6 +16,7 @@ use super::error::Problem;
     tags(
         (name = "jobs", description = "Clips on their way to avatars"),
         (name = "avatars", description = "Results and renders"),
+        (name = "webhooks", description = "Who is told of jobs"),
         (name = "service", description = "For those who run it"),
     )
 )]

@@ -12,6 +12,7 @@ mod options;
 mod queue;
 pub mod render;
 pub mod sqlite;
+pub mod webhooks;
 
 pub use env::{Clock, Env, ManualClock, SystemClock, Timestamp};
 pub use job::{Avatar, AvatarFile, Clip, Event, EventKind, Job, JobError, Losses, NewAvatar, NewJob, Part, State};

@@ -20,6 +20,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("body", &[]),
     ("gpu", &[]),
     ("config", &[]),
+    ("webhooks", &["jobs"]),
 ];
 
 const ROOT_LEAVES: &[&str] = &["camera", "npz", "data_dir"];

@@ -7,7 +7,7 @@ use sqlx::Row;
 use uuid::Uuid;
 
 use super::super::{
-    Avatar, AvatarFile, Change, Deletion, Event, Job, ListFilter, NewJob, QueueError, StageTime, State, Timestamp,
+    Avatar, Change, Deletion, Event, Job, ListFilter, NewJob, QueueError, StageTime, State, Timestamp,
 };
 use super::SqliteQueue;
 use super::rows::{self, add_state_event, select_jobs, to_json};
@@ -157,14 +157,7 @@ impl SqliteQueue {
         let Some(row) = sqlx::query(sql).bind(id.to_string()).fetch_optional(&mut *tx).await? else {
             return Ok(None);
         };
-        let files = sqlx::query("SELECT name, bytes, sha256 FROM avatar_files WHERE avatar_id = ? ORDER BY name")
-            .bind(id.to_string())
-            .fetch_all(&mut *tx)
-            .await?;
-        let files = files.iter().map(|file| {
-            let bytes: i64 = file.try_get("bytes")?;
-            Ok(AvatarFile { name: file.try_get("name")?, bytes: bytes as u64, sha256: file.try_get("sha256")? })
-        });
+        let files = rows::avatar_files(&mut tx, id).await?;
         Ok(Some(Avatar {
             id,
             epoch: row.try_get("epoch")?,
@@ -175,7 +168,7 @@ impl SqliteQueue {
             metrics: rows::json_column(&row, "metrics")?,
             created_at: Timestamp(row.try_get("created_at")?),
             expires_at: rows::time(&row, "expires_at")?,
-            files: files.collect::<Result<_, sqlx::Error>>()?,
+            files,
         }))
     }
 

@@ -10,6 +10,7 @@ mod reaper;
 mod rows;
 #[cfg(test)]
 mod tests;
+mod webhooks;
 mod worker;
 
 use std::collections::BTreeMap;
@@ -22,8 +23,8 @@ use sqlx::{Sqlite, SqlitePool, Transaction};
 use uuid::Uuid;
 
 use super::{
-    Avatar, Change, Deletion, Env, Event, Job, JobError, Lease, ListFilter, NewAvatar, NewJob, Policy, ProgressReport,
-    Queue, QueueError, Reaped, Repeat, StageTime, Standing, State,
+    Avatar, Change, Deletion, Env, Event, Job, JobError, Lease, ListFilter, NewAvatar, NewJob, Policy,
+    ProgressReport, Queue, QueueError, Reaped, Repeat, StageTime, Standing, State,
 };
 
 /// How long a writer waits for another process's transaction.

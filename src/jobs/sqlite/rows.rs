@@ -121,8 +121,9 @@ pub(super) async fn add_event(
     Ok(())
 }
 
-/// Tells the readers of the event stream how the job now stands. Part of every transaction that changes a state.
+/// Tells the readers of the event stream, and whom webhooks name, how the job now stands. Part of every transaction that changes a state.
 pub(super) async fn add_state_event(connection: &mut SqliteConnection, job: &Job) -> Result<(), QueueError> {
     let data = json!({ "state": job.state, "attempt": job.attempt, "error": job.error });
-    add_event(connection, job.id, job.updated_at, EventKind::State, data).await
+    add_event(connection, job.id, job.updated_at, EventKind::State, data).await?;
+    super::webhooks::tell(connection, job).await
 }

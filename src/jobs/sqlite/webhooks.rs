@@ -1,0 +1,214 @@
+//! Webhooks in the same file: a change of a job and the messages about it are one transaction.
+
+use futures_util::future::BoxFuture;
+use serde_json::json;
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, SqliteConnection};
+use uuid::Uuid;
+
+use super::super::webhooks::{Attempt, Delivery, Due, KEPT, NewWebhook, SCHEDULE, TOLD, Webhook, Webhooks, event_type};
+use super::super::{Job, QueueError, State, Timestamp};
+use super::{SqliteQueue, rows};
+
+type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
+
+/// Writes the messages about a job that has just come to its state. Webhooks of a revoked key hear nothing.
+pub(super) async fn tell(connection: &mut SqliteConnection, job: &Job) -> Result<(), QueueError> {
+    if !TOLD.contains(&job.state) {
+        return Ok(());
+    }
+    let kind = event_type(job.state);
+    let payload = json!({
+        "type": kind,
+        "timestamp": job.updated_at.rfc3339(),
+        "data": {
+            "job": job.id,
+            "state": job.state,
+            "attempt": job.attempt,
+            "avatar": (job.state == State::Succeeded).then_some(job.id),
+            "error": job.error,
+        },
+    });
+    sqlx::query(
+        "INSERT INTO deliveries (id, webhook_id, payload, created_at, next_at) \
+         SELECT 'msg_' || lower(hex(randomblob(16))), w.id, ?1, ?2, ?2 FROM webhooks w \
+         WHERE w.disabled_at IS NULL AND w.key_id IS (SELECT key_id FROM jobs WHERE id = ?3) \
+         AND EXISTS (SELECT 1 FROM json_each(w.events) WHERE value = ?4) \
+         AND NOT EXISTS (SELECT 1 FROM api_keys k WHERE k.id = w.key_id AND k.revoked_at IS NOT NULL)",
+    )
+    .bind(payload.to_string())
+    .bind(job.updated_at.0)
+    .bind(job.id.to_string())
+    .bind(kind)
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+impl SqliteQueue {
+    async fn insert_webhook(&self, new: NewWebhook) -> Result<Webhook, QueueError> {
+        let mut tx = self.write().await?;
+        let row = sqlx::query(
+            "INSERT INTO webhooks (id, key_id, url, secret, events, created_at) VALUES (?, ?, ?, ?, ?, ?) RETURNING *",
+        )
+        .bind(self.env.new_id().to_string())
+        .bind(new.key.map(|key| key.to_string()))
+        .bind(new.url)
+        .bind(new.secret)
+        .bind(rows::to_json(&new.events))
+        .bind(self.env.now().0)
+        .fetch_one(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        webhook(&row)
+    }
+
+    async fn find_webhooks(&self, id: Option<Uuid>, only: Option<Uuid>) -> Result<Vec<Webhook>, QueueError> {
+        let found = sqlx::query(
+            "SELECT * FROM webhooks WHERE (?1 IS NULL OR id = ?1) AND (?2 IS NULL OR key_id = ?2) ORDER BY id DESC",
+        )
+        .bind(id.map(|id| id.to_string()))
+        .bind(only.map(|key| key.to_string()))
+        .fetch_all(&self.readers)
+        .await?;
+        found.iter().map(webhook).collect()
+    }
+
+    async fn remove_webhook(&self, id: Uuid, only: Option<Uuid>) -> Result<bool, QueueError> {
+        let mut tx = self.write().await?;
+        let gone = sqlx::query("DELETE FROM webhooks WHERE id = ?1 AND (?2 IS NULL OR key_id = ?2)")
+            .bind(id.to_string())
+            .bind(only.map(|key| key.to_string()))
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        Ok(gone.rows_affected() > 0)
+    }
+
+    async fn deliveries_of(&self, id: Uuid, limit: u32) -> Result<Vec<Delivery>, QueueError> {
+        let found =
+            sqlx::query("SELECT * FROM deliveries WHERE webhook_id = ? ORDER BY created_at DESC, rowid DESC LIMIT ?")
+                .bind(id.to_string())
+                .bind(limit)
+                .fetch_all(&self.readers)
+                .await?;
+        found.iter().map(delivery).collect()
+    }
+
+    async fn due_now(&self, limit: u32) -> Result<Vec<Due>, QueueError> {
+        let found = sqlx::query(
+            "SELECT d.id, d.payload, d.attempts, w.url, w.secret FROM deliveries d JOIN webhooks w ON w.id = d.webhook_id \
+             WHERE d.next_at <= ? AND w.disabled_at IS NULL ORDER BY d.next_at, d.rowid LIMIT ?",
+        )
+        .bind(self.env.now().0)
+        .bind(limit)
+        .fetch_all(&self.readers)
+        .await?;
+        let due = found.iter().map(|row| {
+            Ok(Due {
+                id: row.try_get("id")?,
+                url: row.try_get("url")?,
+                secret: row.try_get("secret")?,
+                payload: row.try_get("payload")?,
+                attempts: row.try_get("attempts")?,
+            })
+        });
+        due.collect()
+    }
+
+    async fn write_attempt(&self, id: &str, attempt: &Attempt) -> Result<(), QueueError> {
+        let mut tx = self.write().await?;
+        let now = self.env.now();
+        let made: Option<u32> = sqlx::query_scalar(
+            "UPDATE deliveries SET attempts = attempts + 1, last_status = ?2, last_error = ?3 WHERE id = ?1 \
+             RETURNING attempts",
+        )
+        .bind(id)
+        .bind(if let Attempt::Answered(status) = attempt { Some(*status) } else { None })
+        .bind(if let Attempt::Failed(error) = attempt { Some(error.as_str()) } else { None })
+        .fetch_optional(&mut *tx)
+        .await?;
+        // The webhook was deleted meanwhile.
+        let Some(made) = made else { return Ok(()) };
+        let taken = matches!(attempt, Attempt::Answered(200..=299));
+        let gone = *attempt == Attempt::Answered(410);
+        // A little chance, so that what failed together does not come back together.
+        let wait = SCHEDULE.get(made as usize - 1).map(|wait| wait.mul_f64(1.0 + 0.1 * self.env.unit()));
+        let next = wait.filter(|_| !taken && !gone).map(|wait| now.plus(wait).0);
+        sqlx::query("UPDATE deliveries SET next_at = ?2, delivered_at = ?3 WHERE id = ?1")
+            .bind(id)
+            .bind(next)
+            .bind(taken.then_some(now.0))
+            .execute(&mut *tx)
+            .await?;
+        if gone {
+            sqlx::query(
+                "UPDATE webhooks SET disabled_at = ?2 WHERE id = (SELECT webhook_id FROM deliveries WHERE id = ?1)",
+            )
+            .bind(id)
+            .bind(now.0)
+            .execute(&mut *tx)
+            .await?;
+        }
+        sqlx::query("DELETE FROM deliveries WHERE next_at IS NULL AND created_at < ?")
+            .bind(now.0.saturating_sub(KEPT.as_millis() as i64))
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        Ok(())
+    }
+}
+
+fn webhook(row: &SqliteRow) -> Result<Webhook, QueueError> {
+    Ok(Webhook {
+        id: rows::id(row, "id")?,
+        key: rows::optional_id(row, "key_id")?,
+        url: row.try_get("url")?,
+        events: rows::json_column(row, "events")?,
+        created_at: Timestamp(row.try_get("created_at")?),
+        disabled_at: rows::time(row, "disabled_at")?,
+    })
+}
+
+fn delivery(row: &SqliteRow) -> Result<Delivery, QueueError> {
+    Ok(Delivery {
+        id: row.try_get("id")?,
+        payload: row.try_get("payload")?,
+        created_at: Timestamp(row.try_get("created_at")?),
+        attempts: row.try_get("attempts")?,
+        next_at: rows::time(row, "next_at")?,
+        delivered_at: rows::time(row, "delivered_at")?,
+        last_status: row.try_get("last_status")?,
+        last_error: row.try_get("last_error")?,
+    })
+}
+
+impl Webhooks for SqliteQueue {
+    fn create_webhook(&self, new: NewWebhook) -> Answer<'_, Webhook> {
+        Box::pin(self.insert_webhook(new))
+    }
+
+    fn webhooks(&self, only: Option<Uuid>) -> Answer<'_, Vec<Webhook>> {
+        Box::pin(self.find_webhooks(None, only))
+    }
+
+    fn webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, Option<Webhook>> {
+        Box::pin(async move { Ok(self.find_webhooks(Some(id), only).await?.pop()) })
+    }
+
+    fn delete_webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, bool> {
+        Box::pin(self.remove_webhook(id, only))
+    }
+
+    fn deliveries(&self, webhook: Uuid, limit: u32) -> Answer<'_, Vec<Delivery>> {
+        Box::pin(self.deliveries_of(webhook, limit))
+    }
+
+    fn due(&self, limit: u32) -> Answer<'_, Vec<Due>> {
+        Box::pin(self.due_now(limit))
+    }
+
+    fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> Answer<'a, ()> {
+        Box::pin(self.write_attempt(delivery, attempt))
+    }
+}

@@ -1,0 +1,105 @@
+//! Webhooks: who is told of jobs, and what is still to be told. `migrations/0011_webhooks.sql` explains each field.
+
+mod address;
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use uuid::Uuid;
+
+use super::queue::Answer;
+use super::{State, Timestamp};
+
+pub use address::{AddressError, check_url, is_public};
+
+/// Waits after the first, second, … attempt that failed: the schedule that Standard Webhooks recommends, about three
+/// days in all.
+pub const SCHEDULE: [Duration; 9] = [
+    Duration::from_secs(5),
+    Duration::from_secs(5 * 60),
+    Duration::from_secs(30 * 60),
+    Duration::from_secs(2 * 3600),
+    Duration::from_secs(5 * 3600),
+    Duration::from_secs(10 * 3600),
+    Duration::from_secs(14 * 3600),
+    Duration::from_secs(20 * 3600),
+    Duration::from_secs(24 * 3600),
+];
+
+/// Deliveries that are over are kept so long, for those who look what came of them.
+pub const KEPT: Duration = Duration::from_secs(30 * 86_400);
+
+/// `job.<state>`: what a webhook can hear of.
+pub fn event_type(state: State) -> String {
+    format!("job.{}", state.name())
+}
+
+/// States whose changes are told: a wish to cancel is not.
+pub const TOLD: [State; 6] =
+    [State::Queued, State::Running, State::Succeeded, State::Failed, State::Canceled, State::Expired];
+
+#[derive(Clone, Debug)]
+pub struct NewWebhook {
+    pub key: Option<Uuid>,
+    pub url: String,
+    pub secret: Vec<u8>,
+    pub events: BTreeSet<String>,
+}
+
+#[derive(Clone, Debug)]
+pub struct Webhook {
+    pub id: Uuid,
+    pub key: Option<Uuid>,
+    pub url: String,
+    pub events: BTreeSet<String>,
+    pub created_at: Timestamp,
+    pub disabled_at: Option<Timestamp>,
+}
+
+/// A message and what has come of it.
+#[derive(Clone, Debug)]
+pub struct Delivery {
+    pub id: String,
+    pub payload: String,
+    pub created_at: Timestamp,
+    pub attempts: u32,
+    pub next_at: Option<Timestamp>,
+    pub delivered_at: Option<Timestamp>,
+    pub last_status: Option<u16>,
+    pub last_error: Option<String>,
+}
+
+/// A message that is to be sent now.
+#[derive(Clone, Debug)]
+pub struct Due {
+    pub id: String,
+    pub url: String,
+    pub secret: Vec<u8>,
+    pub payload: String,
+    pub attempts: u32,
+}
+
+/// What came of an attempt.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Attempt {
+    /// Answered with this status.
+    Answered(u16),
+    /// Not even that.
+    Failed(String),
+}
+
+/// The webhooks of a service. `only` limits a call to those of a key.
+pub trait Webhooks: Send + Sync + 'static {
+    fn create_webhook(&self, new: NewWebhook) -> Answer<'_, Webhook>;
+    /// The newest first.
+    fn webhooks(&self, only: Option<Uuid>) -> Answer<'_, Vec<Webhook>>;
+    fn webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, Option<Webhook>>;
+    /// With all its deliveries; false where there is none.
+    fn delete_webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, bool>;
+    /// The newest first.
+    fn deliveries(&self, webhook: Uuid, limit: u32) -> Answer<'_, Vec<Delivery>>;
+    /// What is to be sent now, the longest due first.
+    fn due(&self, limit: u32) -> Answer<'_, Vec<Due>>;
+    /// Writes what came of an attempt: over, or due again by [`SCHEDULE`]. 410 disables the webhook.
+    fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> Answer<'a, ()>;
+}
