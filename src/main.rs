@@ -33,6 +33,10 @@ enum Command {
     Worker(cli::worker::Args),
     /// Make, list and revoke the keys of the service.
     Keys(cli::keys::Args),
+    /// Copy the database and all files into a new folder, while the service runs.
+    Backup(cli::backup::BackupArgs),
+    /// Make a data folder from a backup.
+    Restore(cli::backup::RestoreArgs),
     /// Print the settings in force and where each comes from.
     Config(cli::config::Args),
     /// Print the description of the API.
@@ -54,6 +58,8 @@ fn main() -> anyhow::Result<()> {
         Command::Serve(args) => cli::serve::run(args),
         Command::Worker(args) => cli::worker::run(args),
         Command::Keys(args) => cli::keys::run(args),
+        Command::Backup(args) => cli::backup::run(args),
+        Command::Restore(args) => cli::backup::restore(args),
         Command::Config(args) => cli::config::run(args),
         Command::Openapi => cli::openapi::run(),
     }

@@ -13,6 +13,7 @@
 //!
 //! Whatever appears under its name is complete and on the disk: files are written in `tmp`, flushed, and renamed.
 
+mod backup;
 mod publish;
 mod serve;
 mod upload;
@@ -24,6 +25,7 @@ use std::path::{Path, PathBuf};
 
 use uuid::Uuid;
 
+pub use backup::{Copied, How};
 pub use publish::{Published, write_atomic};
 pub use serve::{ByteRange, open_range, parse_range};
 pub use upload::{PartWriter, Upload};

@@ -5,6 +5,7 @@
 //! pool of their own and never wait for a writer.
 
 mod api;
+pub mod backup;
 mod keys;
 mod reaper;
 mod rows;

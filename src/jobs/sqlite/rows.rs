@@ -6,7 +6,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 use uuid::Uuid;
 
-use super::super::{Event, EventKind, Job, QueueError, State, Timestamp};
+use super::super::{AvatarFile, Event, EventKind, Job, QueueError, State, Timestamp};
 
 /// `select_jobs!("WHERE …")`: all columns of jobs `j` and the place in the queue.
 macro_rules! select_jobs {
@@ -24,7 +24,7 @@ pub(super) use select_jobs;
 pub(super) fn job(row: &SqliteRow) -> Result<Job, QueueError> {
     Ok(Job {
         id: id(row, "id")?,
-        state: named(row, "state", State::from_name)?,
+        state: state(row)?,
         options: json_column(row, "options")?,
         inputs: json_column(row, "inputs")?,
         clip: json_column(row, "clip")?,
@@ -70,6 +70,26 @@ pub(super) fn event(row: &SqliteRow) -> Result<Event, QueueError> {
 
 pub(super) fn id(row: &SqliteRow, column: &'static str) -> Result<Uuid, QueueError> {
     named(row, column, |text| text.parse().ok())
+}
+
+pub(super) fn state(row: &SqliteRow) -> Result<State, QueueError> {
+    named(row, "state", State::from_name)
+}
+
+/// The files of an avatar, sorted by name.
+pub(super) async fn avatar_files(
+    connection: &mut SqliteConnection,
+    avatar: Uuid,
+) -> Result<Vec<AvatarFile>, QueueError> {
+    let files = sqlx::query("SELECT name, bytes, sha256 FROM avatar_files WHERE avatar_id = ? ORDER BY name")
+        .bind(avatar.to_string())
+        .fetch_all(connection)
+        .await?;
+    let files = files.iter().map(|file| {
+        let bytes: i64 = file.try_get("bytes")?;
+        Ok(AvatarFile { name: file.try_get("name")?, bytes: bytes as u64, sha256: file.try_get("sha256")? })
+    });
+    files.collect()
 }
 
 pub(super) fn optional_id(row: &SqliteRow, column: &'static str) -> Result<Option<Uuid>, QueueError> {

@@ -2,6 +2,7 @@
 
 mod access;
 mod avatars;
+mod backup;
 mod events;
 mod jobs;
 mod openapi;
