@@ -33,6 +33,8 @@ enum Command {
     Worker(cli::worker::Args),
     /// Make, list and revoke the keys of the service.
     Keys(cli::keys::Args),
+    /// Check whether this machine can run the service, and tell how to mend what is in the way.
+    Doctor(cli::doctor::Args),
     /// Copy the database and all files into a new folder, while the service runs.
     Backup(cli::backup::BackupArgs),
     /// Make a data folder from a backup.
@@ -58,6 +60,7 @@ fn main() -> anyhow::Result<()> {
         Command::Serve(args) => cli::serve::run(args),
         Command::Worker(args) => cli::worker::run(args),
         Command::Keys(args) => cli::keys::run(args),
+        Command::Doctor(args) => cli::doctor::run(args),
         Command::Backup(args) => cli::backup::run(args),
         Command::Restore(args) => cli::backup::restore(args),
         Command::Config(args) => cli::config::run(args),

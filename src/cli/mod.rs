@@ -2,6 +2,7 @@ pub mod backup;
 pub mod bench;
 pub mod body;
 pub mod config;
+pub mod doctor;
 pub mod eval;
 pub mod fit;
 pub mod keys;

@@ -39,6 +39,12 @@ fn describe() {
     describe_gauge!("effigy_queue_depth", "Jobs that wait for a worker");
     describe_counter!("effigy_stage_jobs_total", "Jobs that went through a stage");
     describe_gauge!("effigy_stage_seconds_total", "Seconds that jobs spent in a stage");
+    describe_gauge!("effigy_failed_jobs", "Failed jobs that are kept, by the type of their error");
+    describe_gauge!("effigy_queue_oldest_seconds", "How long the oldest waiting job has been there");
+    describe_gauge!("effigy_queue_wait_seconds_sum", "Seconds from creation to first claim, of all jobs that are kept");
+    describe_gauge!("effigy_queue_wait_seconds_count", "Jobs that are kept and were ever claimed");
+    describe_gauge!("effigy_device_peak_bytes", "The most device memory that a fit of the last day took");
+    describe_gauge!("effigy_webhook_deliveries_waiting", "Webhook messages that wait for an attempt");
     describe_counter!("effigy_http_requests_total", "Answered requests");
     describe_histogram!("effigy_http_request_seconds", "Time from a request to the head of its answer");
 }
@@ -72,5 +78,14 @@ pub(super) async fn scrape(queue: &dyn Queue) -> Result<String, QueueError> {
         counter!("effigy_stage_jobs_total", "stage" => time.stage.clone()).absolute(time.jobs);
         gauge!("effigy_stage_seconds_total", "stage" => time.stage).set(time.secs);
     }
+    let figures = queue.figures().await?;
+    for (kind, jobs) in figures.failed {
+        gauge!("effigy_failed_jobs", "type" => kind).set(jobs as f64);
+    }
+    gauge!("effigy_queue_oldest_seconds").set(figures.oldest_secs);
+    gauge!("effigy_queue_wait_seconds_sum").set(figures.waited_secs);
+    gauge!("effigy_queue_wait_seconds_count").set(figures.started as f64);
+    gauge!("effigy_device_peak_bytes").set(figures.device_peak_bytes.unwrap_or(0) as f64);
+    gauge!("effigy_webhook_deliveries_waiting").set(figures.deliveries as f64);
     Ok(recorder().map(PrometheusHandle::render).unwrap_or_default())
 }

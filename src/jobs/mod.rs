@@ -18,5 +18,6 @@ pub use env::{Clock, Env, ManualClock, SystemClock, Timestamp};
 pub use job::{Avatar, AvatarFile, Clip, Event, EventKind, Job, JobError, Losses, NewAvatar, NewJob, Part, State};
 pub use options::{JobOptions, OptionsError, Preset};
 pub use queue::{
-    Change, Deletion, Lease, ListFilter, Policy, ProgressReport, Queue, QueueError, Reaped, Repeat, StageTime, Standing,
+    Change, Deletion, Figures, Lease, ListFilter, Policy, ProgressReport, Queue, QueueError, Reaped, Repeat, StageTime,
+    Standing,
 };

@@ -153,6 +153,22 @@ pub struct StageTime {
     pub secs: f64,
 }
 
+/// How the service fares, for those who watch it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Figures {
+    /// Failed jobs that are kept, by the type of their error.
+    pub failed: Vec<(String, u64)>,
+    /// Jobs that are kept and were ever claimed, and how long they waited for that, all together.
+    pub started: u64,
+    pub waited_secs: f64,
+    /// How long the oldest job in the queue has been there; 0 without any.
+    pub oldest_secs: f64,
+    /// The most device memory that a fit of the last day took.
+    pub device_peak_bytes: Option<u64>,
+    /// Webhook messages that wait for an attempt.
+    pub deliveries: u64,
+}
+
 pub(super) type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
 
 /// A durable queue of jobs and the shelf of their results. Each call is one transaction.
@@ -176,6 +192,7 @@ pub trait Queue: Send + Sync + 'static {
     /// Jobs in each state.
     fn counts(&self) -> Answer<'_, BTreeMap<State, u64>>;
     fn stage_times(&self) -> Answer<'_, Vec<StageTime>>;
+    fn figures(&self) -> Answer<'_, Figures>;
 
     // A worker's side.
 

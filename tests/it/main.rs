@@ -2,6 +2,7 @@
 
 mod bench;
 mod config;
+mod doctor;
 mod fit;
 mod import_rule;
 mod service;

@@ -7,10 +7,13 @@ use sqlx::Row;
 use uuid::Uuid;
 
 use super::super::{
-    Avatar, Change, Deletion, Event, Job, ListFilter, NewJob, QueueError, StageTime, State, Timestamp,
+    Avatar, Change, Deletion, Event, Figures, Job, ListFilter, NewJob, QueueError, StageTime, State, Timestamp,
 };
 use super::SqliteQueue;
 use super::rows::{self, add_state_event, select_jobs, to_json};
+
+/// Fits whose device memory still counts for the figures.
+const RECENT: Duration = Duration::from_secs(86_400);
 
 impl SqliteQueue {
     pub(super) async fn insert_job(&self, new: NewJob) -> Result<Job, QueueError> {
@@ -198,6 +201,41 @@ impl SqliteQueue {
             })
         });
         times.collect()
+    }
+
+    pub(super) async fn gather_figures(&self) -> Result<Figures, QueueError> {
+        // One transaction, so that the figures belong together.
+        let mut tx = self.readers.begin().await?;
+        let failed = sqlx::query(
+            "SELECT COALESCE(error ->> '$.type', 'unknown') AS kind, count(*) AS n FROM jobs WHERE state = 'failed' \
+             GROUP BY kind ORDER BY kind",
+        )
+        .fetch_all(&mut *tx)
+        .await?;
+        let failed = failed.iter().map(|row| Ok((row.try_get("kind")?, row.try_get::<i64, _>("n")? as u64)));
+        let (started, waited_ms): (i64, i64) = sqlx::query_as(
+            "SELECT count(*), COALESCE(sum(started_at - created_at), 0) FROM jobs WHERE started_at IS NOT NULL",
+        )
+        .fetch_one(&mut *tx)
+        .await?;
+        let oldest: Option<i64> =
+            sqlx::query_scalar("SELECT min(created_at) FROM jobs WHERE state = 'queued'").fetch_one(&mut *tx).await?;
+        let device_peak: Option<i64> = sqlx::query_scalar(
+            "SELECT max(json_extract(metrics, '$.peak_device_bytes')) FROM avatars WHERE created_at >= ?",
+        )
+        .bind(self.env.now().0 - RECENT.as_millis() as i64)
+        .fetch_one(&mut *tx)
+        .await?;
+        let deliveries: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM deliveries WHERE next_at IS NOT NULL").fetch_one(&mut *tx).await?;
+        Ok(Figures {
+            failed: failed.collect::<Result<_, sqlx::Error>>()?,
+            started: started as u64,
+            waited_secs: waited_ms as f64 / 1000.0,
+            oldest_secs: oldest.map_or(0.0, |at| (self.env.now().0 - at).max(0) as f64 / 1000.0),
+            device_peak_bytes: device_peak.map(|bytes| bytes as u64),
+            deliveries: deliveries as u64,
+        })
     }
 
     /// When a job that ends now is to be removed.

@@ -24,7 +24,7 @@ use sqlx::{Sqlite, SqlitePool, Transaction};
 use uuid::Uuid;
 
 use super::{
-    Avatar, Change, Deletion, Env, Event, Job, JobError, Lease, ListFilter, NewAvatar, NewJob, Policy,
+    Avatar, Change, Deletion, Env, Event, Figures, Job, JobError, Lease, ListFilter, NewAvatar, NewJob, Policy,
     ProgressReport, Queue, QueueError, Reaped, Repeat, StageTime, Standing, State,
 };
 
@@ -113,6 +113,10 @@ impl Queue for SqliteQueue {
 
     fn stage_times(&self) -> Answer<'_, Vec<StageTime>> {
         Box::pin(self.sum_stage_times())
+    }
+
+    fn figures(&self) -> Answer<'_, Figures> {
+        Box::pin(self.gather_figures())
     }
 
     fn claim<'a>(&'a self, owner: &'a str) -> Answer<'a, Option<(Lease, Job)>> {

@@ -160,6 +160,7 @@ fn report(
             "psnr": mean(|s| s.psnr),
             "frames": scores.len(),
             "secs": total,
+            "peak_device_bytes": gpu.peak_bytes(),
         },
         "secs": monitor.secs,
         "device": gpu.info(),

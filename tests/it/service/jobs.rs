@@ -5,6 +5,32 @@ use effigy::jobs::{JobError, ProgressReport, Repeat};
 use super::*;
 
 #[tokio::test]
+async fn the_figures_tell_waits_failures_and_what_is_undelivered() {
+    let clock = effigy::jobs::ManualClock::new(effigy::jobs::Timestamp(1_700_000_000_000));
+    let bench = Bench::with(Limits::default(), Env::new(clock.clone(), 1)).await;
+    assert_eq!(bench.queue.figures().await.unwrap(), effigy::jobs::Figures::default());
+    bench.add_job().await;
+    bench.add_job().await;
+    clock.advance(std::time::Duration::from_secs(30));
+    let lease = bench.claim().await;
+    bench.queue.fail(&lease, JobError::new("diverged", "offsets"), effigy::jobs::Repeat::Never).await.unwrap();
+    clock.advance(std::time::Duration::from_secs(12));
+    let figures = bench.queue.figures().await.unwrap();
+    assert_eq!((figures.failed, figures.started), (vec![("diverged".to_string(), 1)], 1));
+    assert_eq!((figures.waited_secs, figures.oldest_secs, figures.deliveries), (30.0, 42.0, 0));
+    let text = String::from_utf8(bench.get("/metrics").await.body).unwrap();
+    for name in [
+        "effigy_failed_jobs{type=\"diverged\"}",
+        "effigy_queue_oldest_seconds",
+        "effigy_queue_wait_seconds_sum",
+        "effigy_device_peak_bytes",
+        "effigy_webhook_deliveries_waiting",
+    ] {
+        assert!(text.contains(&format!("\n{name} ")), "{name}: {text}");
+    }
+}
+
+#[tokio::test]
 async fn a_job_tells_its_progress() {
     let bench = Bench::new().await;
     let id = bench.add_job().await;

@@ -14,6 +14,11 @@ pub struct Serve {
 
 impl Serve {
     pub fn start(data: &Path, arguments: &[&str]) -> Serve {
+        Self::start_with_log(data, arguments, Stdio::null())
+    }
+
+    fn start_with_log(data: &Path, arguments: &[&str], log: Stdio) -> Serve {
+        effigy::webhooks::install_cryptography();
         let mut child = Command::new(env!("CARGO_BIN_EXE_effigy"))
             .args(["serve", "--data-dir"])
             .arg(data)
@@ -21,7 +26,7 @@ impl Serve {
             .args(if arguments.contains(&"--listen") { &[][..] } else { &["--listen", "127.0.0.1:0"] })
             .args(arguments)
             .stdout(Stdio::piped())
-            .stderr(Stdio::null())
+            .stderr(log)
             .spawn()
             .unwrap();
         let mut line = String::new();
@@ -101,6 +106,32 @@ fn what_others_can_reach_needs_keys() {
     assert_eq!(ask(), 401);
     drop(serve);
     let _open = Serve::start(data.path(), &["--workers", "0", "--listen", "0.0.0.0:0", "--auth", "open"]);
+}
+
+#[test]
+fn a_log_for_programs_ties_a_job_to_the_request_that_brought_it() {
+    let data = tempfile::tempdir().unwrap();
+    std::fs::create_dir(data.path().join("bodies")).unwrap();
+    std::fs::write(data.path().join("bodies/default.body.npz"), b"").unwrap();
+    let log = data.path().join("log");
+    let stderr = std::fs::File::create(&log).unwrap();
+    let serve = Serve::start_with_log(data.path(), &["--workers", "0", "--log-format", "json"], stderr.into());
+    let client = reqwest::blocking::Client::new();
+    let sent = client
+        .post(format!("{}/v1/jobs", serve.url))
+        .header("content-type", Form::TYPE)
+        .header("x-request-id", "the-request")
+        .body(Form::clip().body())
+        .send()
+        .unwrap();
+    assert_eq!(sent.headers()["x-request-id"], "the-request");
+    let job: Value = sent.json().unwrap();
+    serve.terminate();
+    let lines = std::fs::read_to_string(log).unwrap();
+    let lines: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let accepted = lines.iter().find(|line| line["message"] == "accepted").unwrap_or_else(|| panic!("{lines:?}"));
+    assert_eq!((&accepted["job"], &accepted["level"]), (&job["id"], &json!("INFO")));
+    assert_eq!(accepted["spans"][0]["id"], "the-request", "{accepted}");
 }
 
 #[test]

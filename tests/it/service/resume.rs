@@ -91,6 +91,19 @@ fn a_killed_fit_goes_on() {
     let mut events = Events::of(&job_url);
     events.until(|event| event["state"] == "running" && event["attempt"] == 2);
 
+    // Asked to end, the server has its worker write a checkpoint and give the attempt back.
+    events.until(|event| event["stage"] == "geometry" || event["stage"] == "texture");
+    let before = std::fs::metadata(&checkpoint).unwrap().modified().unwrap();
+    assert!(serve.terminate().success());
+    assert!(std::fs::metadata(&checkpoint).unwrap().modified().unwrap() > before, "a checkpoint was written");
+    let serve = Serve::start(&data, &["--workers", "0"]);
+    let job: Value = get(format!("{}/v1/jobs/{id}", serve.url)).unwrap().json().unwrap();
+    assert_eq!((&job["state"], &job["attempt"]), (&json!("queued"), &json!(1)), "{job}");
+    drop(serve);
+    let serve = Serve::start(&data, &[]);
+    let job_url = format!("{}/v1/jobs/{id}", serve.url);
+    Events::of(&job_url).until(|event| event["state"] == "running" && event["attempt"] == 2);
+
     // Killed without warning, the server takes its worker along; the next server's goes on.
     drop(serve);
     let serve = Serve::start(&data, &[]);

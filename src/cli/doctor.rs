@@ -1,0 +1,211 @@
+//! `effigy doctor`: whether this machine can run the service, and how to mend what is in the way.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Result, bail};
+use effigy::body::Body;
+use effigy::config::{Auth, Bytes, Config, Value};
+use effigy::gpu::{DeviceSelect, Gpu};
+use effigy::jobs::Env;
+use effigy::jobs::keys::Keys;
+use effigy::jobs::sqlite::backup::examine;
+use effigy::storage::Store;
+use serde::Serialize;
+
+use super::service::{open_queue, policy};
+use super::settings::ServerSettings;
+
+#[derive(clap::Args)]
+pub struct Args {
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    settings: ServerSettings,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum State {
+    Ok,
+    /// It works, but not as well as it could.
+    Warning,
+    Failed,
+}
+
+/// What was looked at.
+#[derive(Serialize)]
+struct Check {
+    name: &'static str,
+    state: State,
+    found: String,
+    /// What to do about it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mend: Option<String>,
+}
+
+impl Check {
+    fn ok(name: &'static str, found: impl Into<String>) -> Check {
+        Check { name, state: State::Ok, found: found.into(), mend: None }
+    }
+
+    fn warning(name: &'static str, found: impl Into<String>, mend: impl Into<String>) -> Check {
+        Check { name, state: State::Warning, found: found.into(), mend: Some(mend.into()) }
+    }
+
+    fn failed(name: &'static str, found: impl Into<String>, mend: impl Into<String>) -> Check {
+        Check { name, state: State::Failed, found: found.into(), mend: Some(mend.into()) }
+    }
+}
+
+/// Free space below which an upload of usual size may not fit.
+const LITTLE_SPACE: u64 = 5 << 30;
+
+pub fn run(args: Args) -> Result<()> {
+    let in_force = args.settings.resolve()?;
+    let data = in_force.config.data_dir();
+    let mut checks = vec![device(), tool("ffmpeg"), tool("ffprobe"), disk(&data), body(&data)];
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    checks.extend(runtime.block_on(database(&data, &in_force.config)));
+    let failed = checks.iter().filter(|check| check.state == State::Failed).count();
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&serde_json::json!({ "ok": failed == 0, "checks": checks }))?);
+    } else {
+        for Check { name, state, found, mend } in &checks {
+            let mark = match state {
+                State::Ok => "ok     ",
+                State::Warning => "warning",
+                State::Failed => "FAILED ",
+            };
+            println!("{mark}  {name:9} {found}");
+            if let Some(mend) = mend {
+                println!("         {:9} → {mend}", "");
+            }
+        }
+    }
+    if failed > 0 {
+        bail!("{failed} of {} checks failed", checks.len());
+    }
+    Ok(())
+}
+
+fn device() -> Check {
+    let driver = "install a Vulkan driver (Debian: libvulkan1 and mesa-vulkan-drivers, or the vendor's), and in a container \
+                  give it the device; EFFIGY_DEVICE chooses an adapter by a part of its name";
+    match Gpu::open(&DeviceSelect::Auto) {
+        Ok(gpu) => {
+            let info = gpu.info();
+            let found = format!("{} ({}, {})", info.name, info.backend, info.driver);
+            if info.software {
+                let mend = "fits take minutes instead of seconds; a graphics device with a Vulkan driver is faster";
+                return Check::warning("device", format!("{found}, which computes on the CPU"), mend);
+            }
+            Check::ok("device", found)
+        }
+        Err(error) => Check::failed("device", error.to_string(), driver),
+    }
+}
+
+fn tool(name: &'static str) -> Check {
+    let mend = "install FFmpeg (Debian: apt-get install ffmpeg) so that it is in PATH";
+    match Command::new(name).arg("-version").output() {
+        Ok(output) if output.status.success() => {
+            let text = String::from_utf8_lossy(&output.stdout);
+            Check::ok(name, text.lines().next().unwrap_or("no version").split(" Copyright").next().unwrap_or_default())
+        }
+        Ok(output) => Check::failed(name, format!("it ends with {}", output.status), mend),
+        Err(error) => Check::failed(name, error.to_string(), mend),
+    }
+}
+
+fn disk(data: &Path) -> Check {
+    let mend = "give the user who runs the service a folder that it may write (setting data_dir)";
+    let store = match Store::open(data) {
+        Ok(store) => store,
+        Err(error) => return Check::failed("disk", format!("{}: {error}", data.display()), mend),
+    };
+    if let Err(error) = store.begin_upload() {
+        return Check::failed("disk", format!("{} cannot be written: {error}", data.display()), mend);
+    }
+    match free_bytes(store.root()) {
+        Err(error) => Check::failed("disk", format!("{}: {error}", data.display()), mend),
+        Ok(free) => {
+            let found = format!("{:.1} GiB free in {}", free as f64 / (1u64 << 30) as f64, data.display());
+            if free < LITTLE_SPACE {
+                let mend =
+                    format!("make room or set retain_days; below {} uploads may not fit", Bytes(LITTLE_SPACE).text());
+                return Check::warning("disk", found, mend);
+            }
+            Check::ok("disk", found)
+        }
+    }
+}
+
+/// Free on a folder's disk, for this process.
+#[cfg(unix)]
+fn free_bytes(folder: &Path) -> std::io::Result<u64> {
+    use std::os::unix::ffi::OsStrExt;
+    let path = std::ffi::CString::new(folder.as_os_str().as_bytes())?;
+    // SAFETY: an all-zero statvfs is a valid value of numbers, which the call overwrites.
+    let mut found: libc::statvfs = unsafe { std::mem::zeroed() };
+    // SAFETY: both pointers are to live values, the path ends with a zero.
+    if unsafe { libc::statvfs(path.as_ptr(), &mut found) } != 0 {
+        return Err(std::io::Error::last_os_error());
+    }
+    Ok(found.f_bavail.saturating_mul(found.f_frsize))
+}
+
+#[cfg(not(unix))]
+fn free_bytes(_folder: &Path) -> std::io::Result<u64> {
+    Ok(u64::MAX)
+}
+
+fn body(data: &Path) -> Check {
+    let path = data.join("bodies").join("default.body.npz");
+    let mend = "import it: scripts/body.sh EFFIGY, or `effigy body import` of the wheel (README)";
+    match Body::load(&path) {
+        Ok(body) => Check::ok("body", format!("{} vertices, {} faces", body.n_vertices(), body.n_faces())),
+        Err(_) if !path.exists() => Check::failed("body", format!("there is no {}", path.display()), mend),
+        Err(error) => Check::failed("body", format!("{}: {error}", path.display()), mend),
+    }
+}
+
+/// The database, and whether a server would start on it.
+async fn database(data: &Path, config: &Config) -> Vec<Check> {
+    let path = data.join("effigy.db");
+    let keys =
+        format!("make a key (effigy keys create NAME), listen on 127.0.0.1 instead of {}, or set auth", config.listen);
+    let wide = config.auth == Auth::Auto && !config.listen.ip().is_loopback();
+    let access = |any: bool| match (wide, any) {
+        (true, false) => Check::failed("access", "others can reach the server and there is no key", keys),
+        (_, true) => Check::ok("access", "callers need a key"),
+        _ => Check::ok("access", format!("auth = {:?}, no keys, {}", config.auth.text(), config.listen)),
+    };
+    if !path.exists() {
+        return vec![Check::ok("database", "none yet; the first start makes it"), access(false)];
+    }
+    let restore = "stop the service, move effigy.db away, and restore a backup (docs/operating.md)";
+    match examine(&path).await {
+        Err(error) => return vec![Check::failed("database", error.to_string(), restore)],
+        Ok(health) if health.integrity != "ok" => return vec![Check::failed("database", health.integrity, restore)],
+        Ok(health) if health.version > health.known => {
+            let found = format!("its schema {} is newer than this program's {}", health.version, health.known);
+            return vec![Check::failed("database", found, "use the version of effigy that made it, or a newer one")];
+        }
+        // Opening it would bring it to this version, which is not a doctor's to do.
+        Ok(health) if health.version < health.known => {
+            let found = format!("schema {} becomes {} at the next start", health.version, health.known);
+            return vec![Check::warning("database", found, "make a backup before that (effigy backup)")];
+        }
+        Ok(_) => {}
+    }
+    let Ok(store) = Store::open(data) else { return Vec::new() };
+    match open_queue(&store, &Env::system(), policy(config)).await {
+        Err(error) => vec![Check::failed("database", format!("{error:#}"), restore)],
+        Ok(queue) => {
+            let any = queue.any_living_key().await.unwrap_or(false);
+            vec![Check::ok("database", format!("{}, whole", path.display())), access(any)]
+        }
+    }
+}

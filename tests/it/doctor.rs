@@ -1,0 +1,74 @@
+//! `effigy doctor` on machines that lack something.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+fn doctor(data: &Path, change: impl FnOnce(&mut Command)) -> (bool, Value) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_effigy"));
+    command.args(["doctor", "--json", "--config=", "--data-dir"]).arg(data);
+    change(&mut command);
+    let output = command.output().unwrap();
+    let report = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {output:?}"));
+    (output.status.success(), report)
+}
+
+#[track_caller]
+fn check<'a>(report: &'a Value, name: &str) -> &'a Value {
+    let found = report["checks"].as_array().unwrap().iter().find(|check| check["name"] == name);
+    found.unwrap_or_else(|| panic!("{name}: {report}"))
+}
+
+#[test]
+fn a_missing_body_and_tool_are_named_with_their_cure() {
+    let data = tempfile::tempdir().unwrap();
+    // A driver loader finds its drivers without PATH, FFmpeg is found by it.
+    let (ok, report) = doctor(data.path(), |command| {
+        command.env("PATH", data.path());
+    });
+    assert!(!ok && report["ok"] == false);
+    for (name, cure) in
+        [("body", "effigy body import"), ("ffmpeg", "apt-get install ffmpeg"), ("ffprobe", "install FFmpeg")]
+    {
+        let check = check(&report, name);
+        assert_eq!(check["state"], "failed", "{check}");
+        assert!(check["mend"].as_str().unwrap().contains(cure), "{check}");
+    }
+    assert_ne!(check(&report, "disk")["state"], "failed");
+    assert_eq!(check(&report, "database")["state"], "ok");
+}
+
+#[test]
+fn a_machine_that_has_all_is_well() {
+    let data = tempfile::tempdir().unwrap();
+    std::fs::create_dir(data.path().join("bodies")).unwrap();
+    effigy::body::Body::test_body().save(&data.path().join("bodies/default.body.npz")).unwrap();
+    let (ok, report) = doctor(data.path(), |_| {});
+    for name in ["ffmpeg", "ffprobe", "body", "database", "access"] {
+        assert_eq!(check(&report, name)["state"], "ok", "{report}");
+    }
+    let device = check(&report, "device")["state"] != "failed";
+    assert_eq!(ok, device, "{report}");
+    assert!(device || std::env::var_os("CI").is_none(), "CI has a device: {report}");
+    let (ok, report) = doctor(data.path(), |command| {
+        command.arg("--listen=0.0.0.0:8080");
+    });
+    assert!(!ok && check(&report, "access")["mend"].as_str().unwrap().contains("effigy keys create"));
+}
+
+#[test]
+fn a_damaged_database_is_told() {
+    let data = tempfile::tempdir().unwrap();
+    let path = data.path().join("effigy.db");
+    let mut bytes = include_bytes!("../fixtures/effigy-0.1.0.db").to_vec();
+    std::fs::write(&path, &bytes).unwrap();
+    let (_, report) = doctor(data.path(), |_| {});
+    assert_eq!(check(&report, "database")["state"], "warning", "an old schema: {report}");
+    assert_eq!(std::fs::read(&path).unwrap(), bytes, "a doctor changes nothing");
+    bytes.truncate(4096);
+    std::fs::write(&path, &bytes).unwrap();
+    let (ok, report) = doctor(data.path(), |_| {});
+    let check = check(&report, "database");
+    assert!(!ok && check["state"] == "failed" && check["mend"].as_str().unwrap().contains("restore"), "{report}");
+}
