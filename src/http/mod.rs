@@ -15,6 +15,7 @@ mod jobs;
 mod links;
 mod metrics;
 pub mod openapi;
+mod page;
 mod renders;
 mod server;
 mod webhooks;
@@ -63,6 +64,7 @@ pub fn router(app: App) -> Router {
     metrics::install();
     let (router, _) = routes().split_for_parts();
     router
+        .merge(page::router())
         .fallback(|request: Request| async move { ApiError::UnknownPath(request.uri().path().into()) })
         .method_not_allowed_fallback(|request: Request| async move {
             ApiError::MethodNotAllowed(format!("{} {}", request.method(), request.uri().path()))

@@ -6,6 +6,7 @@ mod backup;
 mod events;
 mod jobs;
 mod openapi;
+mod page;
 mod process;
 mod rehearsal;
 mod renders;

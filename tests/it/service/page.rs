@@ -1,0 +1,39 @@
+//! The page for people.
+
+use super::*;
+
+#[tokio::test]
+async fn the_page_comes_whole_from_the_server_itself() {
+    let bench = Bench::new().await;
+    let page = bench.get("/").await;
+    assert_eq!((page.status.as_u16(), page.header("content-type")), (200, "text/html; charset=utf-8"));
+    assert!(page.header("content-security-policy").starts_with("default-src 'none'; script-src 'self'"));
+    let html = String::from_utf8(page.body).unwrap();
+    let named = |attribute: &str| {
+        let parts: Vec<String> =
+            html.split(&format!("{attribute}=\"")).skip(1).map(|rest| rest.split('"').next().unwrap().into()).collect();
+        parts
+    };
+    let files = [named("href"), named("src")].concat();
+    assert_eq!(files.len(), 2, "{files:?}");
+    let mut script = String::new();
+    for file in files {
+        let reply = bench.get(&format!("/{file}")).await;
+        assert_eq!(reply.status, 200, "{file}");
+        assert_eq!(reply.header("x-content-type-options"), "nosniff");
+        if file.ends_with(".js") {
+            assert_eq!(reply.header("content-type"), "text/javascript; charset=utf-8");
+            script = String::from_utf8(reply.body).unwrap();
+        }
+    }
+    assert!(!script.contains("http://") && !script.contains("https://") && !script.contains("innerHTML"));
+    // What the script looks for is on the page, and each part of an upload has its field.
+    let ids = named("id");
+    for id in script.split("$(\"").skip(1).map(|rest| rest.split('"').next().unwrap()) {
+        assert!(ids.iter().any(|known| known == id), "{id}");
+    }
+    let fields = named("name");
+    for part in ["video", "masks", "keypoints", "camera", "poses", "preset", "height_m", "seed"] {
+        assert!(fields.iter().any(|field| field == part), "{part}");
+    }
+}

@@ -1,0 +1,332 @@
+// The page at GET /: upload a clip, follow its job, look at the avatar. It uses the public API and nothing else.
+"use strict";
+
+const $ = (id) => document.getElementById(id);
+const VIEWS = 24;
+
+// ---- the API -------------------------------------------------------------------------------------------------------
+
+class Problem extends Error {
+  constructor(problem) {
+    super(problem.detail || problem.title || "the server cannot be reached");
+    this.problem = problem;
+  }
+}
+
+function headers(more = {}) {
+  const key = $("key").value.trim();
+  return key ? { ...more, authorization: `Bearer ${key}` } : more;
+}
+
+async function call(path, options = {}) {
+  let response;
+  try {
+    response = await fetch(path, { ...options, headers: headers(options.headers) });
+  } catch {
+    throw new Problem({});
+  }
+  if (response.ok) return response;
+  const problem = await response.json().catch(() => ({ title: `status ${response.status}` }));
+  if (response.status === 401) askForKey();
+  throw new Problem(problem);
+}
+
+const post = (path, body) =>
+  call(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
+
+function askForKey() {
+  $("key-field").hidden = false;
+}
+
+// ---- what went wrong -----------------------------------------------------------------------------------------------
+
+function show(problem) {
+  const box = $("problem");
+  box.hidden = !problem;
+  box.replaceChildren();
+  if (!problem) return;
+  const { title, part, frame, expected } = problem.problem || {};
+  const lines = [
+    title && title !== problem.message ? `${title}: ${problem.message}` : problem.message,
+    [part && `part ${part}`, frame !== undefined && `frame ${frame}`].filter(Boolean).join(", "),
+    expected && `expected: ${expected}`,
+  ];
+  for (const line of lines.filter(Boolean)) box.append(element("div", line));
+  box.scrollIntoView({ block: "nearest" });
+}
+
+function element(name, text, properties = {}) {
+  return Object.assign(document.createElement(name), { textContent: text ?? "" }, properties);
+}
+
+// ---- upload --------------------------------------------------------------------------------------------------------
+
+// XMLHttpRequest, because fetch does not tell how much has been sent.
+function send(form) {
+  return new Promise((resolve, reject) => {
+    const request = new XMLHttpRequest();
+    request.open("POST", "v1/jobs");
+    for (const [name, value] of Object.entries(headers())) request.setRequestHeader(name, value);
+    request.responseType = "json";
+    request.upload.onprogress = (event) => { $("sent").value = event.loaded / event.total; };
+    request.onload = () => {
+      if (request.status === 202) return resolve(request.response);
+      if (request.status === 401) askForKey();
+      reject(new Problem(request.response || { title: `status ${request.status}` }));
+    };
+    request.onerror = () => reject(new Problem({}));
+    request.send(form);
+  });
+}
+
+function multipart(fields) {
+  const options = {};
+  for (const name of ["preset", "height_m", "max_frames", "max_side_px", "seed", "texture_px"]) {
+    const value = fields.elements[name].value;
+    if (value !== "") options[name] = name === "preset" ? value : Number(value);
+  }
+  const form = new FormData();
+  for (const name of ["video", "masks", "keypoints", "camera", "poses"]) {
+    const file = fields.elements[name].files[0];
+    if (file) form.append(name, file);
+  }
+  form.append("options", JSON.stringify(options));
+  return form;
+}
+
+$("upload").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const button = event.target.querySelector("button");
+  show(null);
+  $("sent").hidden = false;
+  button.disabled = true;
+  try {
+    const job = await send(multipart(event.target));
+    location.hash = job.id;
+  } catch (problem) {
+    show(problem);
+  } finally {
+    button.disabled = false;
+    $("sent").hidden = true;
+  }
+});
+
+// ---- a job ---------------------------------------------------------------------------------------------------------
+
+const ENDED = ["succeeded", "failed", "canceled", "expired"];
+let watched = null; // ends the stream of the job that was shown before
+
+async function watch(id) {
+  watched?.abort();
+  watched = new AbortController();
+  const { signal } = watched;
+  $("result").hidden = true;
+  $("job").hidden = false;
+  $("job-id").textContent = id;
+  let last = null;
+  while (!signal.aborted) {
+    try {
+      const job = await (await call(`v1/jobs/${id}`, { signal })).json();
+      draw(job);
+      if (ENDED.includes(job.state)) break;
+      last = await follow(id, last, signal);
+    } catch (problem) {
+      if (signal.aborted) return;
+      show(problem);
+      if (problem.problem?.status) return;
+      await new Promise((resolve) => setTimeout(resolve, 2000)); // the server was away
+    }
+  }
+  list();
+}
+
+// Reads the event stream until it ends; fetch instead of EventSource, which cannot send a key.
+async function follow(id, last, signal) {
+  const headers = last ? { "last-event-id": last } : {};
+  const response = await call(`v1/jobs/${id}/events`, { headers, signal });
+  if (response.status === 204) return last;
+  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  let text = "";
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return last;
+    text += value;
+    const events = text.split("\n\n");
+    text = events.pop();
+    for (const event of events) {
+      const field = (name) => event.split("\n").find((line) => line.startsWith(`${name}: `))?.slice(name.length + 2);
+      if (!field("data")) continue;
+      last = field("id") ?? last;
+      const data = JSON.parse(field("data"));
+      if (data.state && ENDED.includes(data.state)) return last;
+      draw(data.state ? { state: data.state } : { state: "running", ...data });
+    }
+  }
+}
+
+function draw(job) {
+  $("state").textContent = job.state;
+  const stage = job.stage && !ENDED.includes(job.state);
+  $("stage").textContent = stage ? `${job.stage} ${job.step} of ${job.steps}` : "";
+  if (job.queue_position) $("stage").textContent = `number ${job.queue_position} in the queue`;
+  $("eta").textContent = job.eta_secs == null ? "" : `about ${Math.ceil(job.eta_secs)} s left`;
+  if (job.progress !== undefined) $("progress").value = job.progress;
+  const losses = Object.entries(job.losses ?? {}).map(([name, value]) => `${name} ${value.toPrecision(3)}`);
+  if (job.losses) $("losses").textContent = losses.join(" · ");
+  $("cancel").hidden = !["queued", "running"].includes(job.state);
+  $("retry").hidden = !["failed", "canceled"].includes(job.state);
+  show(job.error ? new Problem({ ...job.error, title: `The fit failed (${job.error.type})` }) : null);
+  if (job.avatar) result(job.avatar);
+}
+
+const wish = (what) => async () => {
+  try {
+    await call(`v1/jobs/${location.hash.slice(1)}/${what}`, { method: "POST" });
+    watch(location.hash.slice(1));
+  } catch (problem) {
+    show(problem);
+  }
+};
+$("cancel").addEventListener("click", wish("cancel"));
+$("retry").addEventListener("click", wish("retry"));
+
+// ---- the avatar ----------------------------------------------------------------------------------------------------
+
+async function result(id) {
+  const { signal } = watched;
+  try {
+    const avatar = await (await call(`v1/avatars/${id}`, { signal })).json();
+    $("result").hidden = false;
+    // Links, because a download cannot send a key.
+    const { links } = await (await post(`v1/avatars/${id}/links`, { expires_in_secs: 86400 })).json();
+    const files = Object.entries(links).map(([name, href]) => {
+      const item = element("li");
+      item.append(element("a", name, { href: href.slice(1), download: name }));
+      return item;
+    });
+    $("files").replaceChildren(...files);
+    $("report").replaceChildren(...rows(avatar.metrics).map(([name, value]) => row([name, value])));
+    await turntable(id, signal);
+  } catch (problem) {
+    if (!signal.aborted) show(problem);
+  }
+}
+
+// The leaves of the report; of long lists their mean.
+function rows(value, name = "") {
+  if (value === null || value === undefined) return [];
+  if (typeof value === "number") return [[name, Number.isInteger(value) ? `${value}` : value.toPrecision(4)]];
+  if (typeof value !== "object") return [[name, `${value}`]];
+  if (Array.isArray(value)) {
+    const numbers = value.filter((item) => typeof item === "number");
+    if (!numbers.length) return [];
+    return rows(numbers.reduce((a, b) => a + b, 0) / numbers.length, `${name}, mean of ${numbers.length}`);
+  }
+  return Object.entries(value).flatMap(([key, item]) => rows(item, name ? `${name} ${key}` : key));
+}
+
+function row(cells) {
+  const line = element("tr");
+  cells.forEach((cell, i) => {
+    const data = element("td", typeof cell === "string" ? cell : "");
+    if (typeof cell !== "string") data.append(cell);
+    if (i && /^[-\d.e]+$/.test(data.textContent)) data.className = "number";
+    line.append(data);
+  });
+  return line;
+}
+
+// The body upright before a camera whose y runs down, turned by `angle`: half a turn about the axis between x and z.
+// Arms a little down from the T-pose (SMPL's joints 16 and 17).
+function standing(angle) {
+  const pose = new Array(72).fill(0);
+  pose[0] = Math.PI * Math.cos(angle / 2);
+  pose[2] = Math.PI * Math.sin(angle / 2);
+  pose[3 * 16 + 2] = -0.9;
+  pose[3 * 17 + 2] = 0.9;
+  return pose;
+}
+
+async function turntable(id, signal) {
+  const pictures = new Array(VIEWS);
+  $("view").hidden = true;
+  const look = () => {
+    const wanted = Number($("turn").value);
+    for (let away = 0; away < VIEWS; away++) {
+      const picture = pictures[(wanted + away) % VIEWS] ?? pictures[(wanted - away + VIEWS) % VIEWS];
+      if (!picture) continue;
+      $("view").src = picture;
+      $("view").hidden = false;
+      return;
+    }
+  };
+  $("turn").oninput = look;
+  drag($("view"), $("turn"), look);
+  const camera = { width: 360, height: 540, fx: 740, fy: 740, cx: 180, cy: 262 };
+  // The quarters first, then what lies between.
+  const order = [...Array(VIEWS).keys()].sort((a, b) => rank(a) - rank(b) || a - b);
+  for (const [drawn, view] of order.entries()) {
+    const pose = standing((2 * Math.PI * view) / VIEWS);
+    const picture = await patiently(() => post(`v1/avatars/${id}/renders`, { pose, pelvis: [0, 0, 3.2], camera }));
+    if (signal.aborted) return;
+    pictures[view] = URL.createObjectURL(await picture.blob());
+    $("drawn").textContent = drawn + 1 < VIEWS ? `${drawn + 1} of ${VIEWS} sides drawn` : "";
+    look();
+  }
+}
+
+// A worker that is busy with a fit draws between its steps: it is asked again for a while.
+async function patiently(ask) {
+  for (let tries = 1; ; tries++) {
+    try {
+      return await ask();
+    } catch (problem) {
+      if (problem.problem?.status !== 503 || tries === 10) throw problem;
+      await new Promise((resolve) => setTimeout(resolve, 5000));
+    }
+  }
+}
+
+const rank = (view) => [6, 3, 2].findIndex((step) => view % step === 0) >>> 0;
+
+function drag(image, slider, changed) {
+  let from = null;
+  image.onpointerdown = (event) => {
+    from = { x: event.clientX, view: Number(slider.value) };
+    image.setPointerCapture(event.pointerId);
+  };
+  image.onpointermove = (event) => {
+    if (!from) return;
+    const turned = Math.round(((event.clientX - from.x) / image.clientWidth) * VIEWS);
+    slider.value = (((from.view + turned) % VIEWS) + VIEWS) % VIEWS;
+    changed();
+  };
+  image.onpointerup = () => { from = null; };
+}
+
+// ---- the list ------------------------------------------------------------------------------------------------------
+
+async function list() {
+  try {
+    const { jobs } = await (await call("v1/jobs?limit=20")).json();
+    const lines = jobs.map((job) => {
+      const link = element("a", job.id, { href: `#${job.id}` });
+      return row([link, job.state, job.options.preset, new Date(job.created_at).toLocaleString()]);
+    });
+    $("jobs").tBodies[0].replaceChildren(...lines);
+  } catch (problem) {
+    show(problem);
+  }
+}
+
+addEventListener("hashchange", () => { if (location.hash) watch(location.hash.slice(1)); });
+$("key").value = sessionStorage.getItem("effigy-key") ?? "";
+$("key-field").hidden = !$("key").value;
+$("key").addEventListener("change", () => {
+  sessionStorage.setItem("effigy-key", $("key").value.trim());
+  show(null);
+  list();
+  if (location.hash) watch(location.hash.slice(1));
+});
+list();
+if (location.hash) watch(location.hash.slice(1));
