@@ -29,6 +29,7 @@ pub mod hard_rasterize;
 pub mod interpolate;
 pub mod keypoints;
 pub mod laplacian;
+pub mod large_steps;
 mod linear;
 pub mod nmr;
 pub mod normal_consistency;

@@ -1,0 +1,80 @@
+//! Host side of `shaders/large_steps/`.
+
+use std::sync::Arc;
+
+use super::{ROUNDS, chebyshev, radius};
+use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder, linear_groups};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    n_vertices: u32,
+    lambda: f32,
+    momentum: f32,
+    gain: f32,
+}
+
+/// The solver of one mesh.
+pub struct LargeSteps {
+    iterate: Arc<Kernel>,
+    sum: Arc<Kernel>,
+    starts: Buffer<u32>,
+    neighbours: Buffer<u32>,
+    /// Every other round's result.
+    other: Buffer<f32>,
+    moves: Buffer<f32>,
+    lambda: f64,
+    factors: Vec<(f64, f64)>,
+}
+
+impl LargeSteps {
+    /// `starts [V + 1]` and `neighbours` are the adjacency in compressed rows.
+    pub fn new(gpu: &Gpu, starts: &[u32], neighbours: &[u32], lambda: f64) -> Self {
+        let len = 3 * (starts.len() - 1);
+        Self {
+            iterate: gpu.kernel("large_steps/iterate", include_str!("../../../shaders/large_steps/iterate.wgsl"), &[]),
+            sum: gpu.kernel("large_steps/sum", include_str!("../../../shaders/large_steps/sum.wgsl"), &[]),
+            starts: gpu.upload("large_steps/starts", starts),
+            neighbours: gpu.upload("large_steps/neighbours", neighbours),
+            other: gpu.zeros("large_steps/other", len),
+            moves: gpu.zeros("large_steps/moves", len),
+            lambda,
+            factors: chebyshev(radius(starts, lambda), ROUNDS),
+        }
+    }
+
+    /// Records `x = P · right_side`, both `[V, 3]`.
+    ///
+    /// # Panics
+    /// When a length differs.
+    pub fn solve(&self, recorder: &mut Recorder<'_>, right_side: &Buffer<f32>, x: &Buffer<f32>) {
+        let len = self.other.len();
+        assert!(right_side.len() == len && x.len() == len, "{}: length", x.label());
+        const { assert!(ROUNDS.is_multiple_of(2), "the last round writes x") };
+        recorder.clear(x);
+        recorder.clear(&self.moves);
+        let groups = linear_groups(len / 3, 64);
+        let (mut from, mut to) = (x, &self.other);
+        for &(momentum, gain) in &self.factors {
+            let params = Params {
+                n_vertices: (len / 3) as u32,
+                lambda: self.lambda as f32,
+                momentum: momentum as f32,
+                gain: gain as f32,
+            };
+            let buffers: [&dyn AnyBuffer; 6] = [&self.starts, &self.neighbours, right_side, from, &self.moves, to];
+            recorder.dispatch(&self.iterate, &params, &buffers, groups);
+            (from, to) = (to, from);
+        }
+    }
+
+    /// Records `sum = a + b`.
+    ///
+    /// # Panics
+    /// When a length differs.
+    pub fn add(&self, recorder: &mut Recorder<'_>, a: &Buffer<f32>, b: &Buffer<f32>, sum: &Buffer<f32>) {
+        assert!(a.len() == sum.len() && b.len() == sum.len(), "{}: length", sum.label());
+        let params = [sum.len() as u32, 0, 0, 0];
+        recorder.dispatch(&self.sum, &params, &[a, b, sum], linear_groups(sum.len(), 64));
+    }
+}
