@@ -52,6 +52,28 @@ pub struct Rates {
     pub field: f32,
 }
 
+/// What makes the moves of D smooth.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Preconditioner {
+    /// The gradient as it is.
+    None,
+    /// Pairs of diffusion steps on the gradient ([`crate::ops::diffuse`]).
+    Diffusion { pairs: usize },
+    /// Steps in coordinates of `(I + λL)` ([`crate::ops::large_steps`]).
+    LargeSteps { lambda: f32 },
+}
+
+/// Which frames an epoch looks at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FrameSampling {
+    /// Each once.
+    Uniform,
+    /// As many as there are, those with large colour losses more often (between half and twice as often as the mean).
+    ByError,
+}
+
 /// One stretch of a stage at one resolution.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Phase {
@@ -67,8 +89,7 @@ pub struct Phase {
     pub rate: f32,
     /// Whether D is fitted in this phase (else only β, pose and placement).
     pub offsets: bool,
-    /// Pairs of diffusion steps on the gradient of D: how smooth its moves are.
-    pub diffusion: usize,
+    pub preconditioner: Preconditioner,
     /// Factor on the rates of pose and placement.
     pub pose_rate: f32,
 }
@@ -88,7 +109,10 @@ pub struct FitConfig {
     pub seed: u64,
     /// Frames a step.
     pub batch: usize,
+    pub frame_sampling: FrameSampling,
     pub silhouette_gradient: SilhouetteGradient,
+    /// Whether each phase of stage 1 starts from the face colours that are best for its geometry, solved in closed form.
+    pub solve_face_colours: bool,
     pub rates: Rates,
     /// Stage 1, with one colour a face.
     pub geometry: StageConfig,
@@ -118,13 +142,15 @@ impl FitConfig {
         let geometry = vec![
             Phase { epochs: 12, offsets: false, ..COARSE },
             Phase { epochs: 30, ..COARSE },
-            Phase { epochs: 30, diffusion: 4, rate: 0.7, ..FINE },
+            Phase { epochs: 30, preconditioner: Preconditioner::Diffusion { pairs: 4 }, rate: 0.7, ..FINE },
         ];
         let texture = vec![Phase { epochs: 15, pose_rate: 0.3, ..FINE }];
         Self {
             seed,
             batch: 4,
+            frame_sampling: FrameSampling::Uniform,
             silhouette_gradient: SilhouetteGradient::Edge,
+            solve_face_colours: true,
             rates: Rates {
                 betas: 1e-2,
                 pose: 4e-3,
@@ -169,7 +195,7 @@ impl FitConfig {
     /// The paper's method as far as it tells: NMR silhouettes, plain offsets, full resolution throughout.
     pub fn paper(seed: u64) -> Self {
         let mut config = Self::standard(seed);
-        let plain = Phase { diffusion: 0, ..FINE };
+        let plain = Phase { preconditioner: Preconditioner::None, ..FINE };
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.geometry.weights.motion = 0.0;
         config.geometry.phases =
@@ -202,7 +228,7 @@ const COARSE: Phase = Phase {
     depth_softness_m: 0.02,
     rate: 1.0,
     offsets: true,
-    diffusion: 10,
+    preconditioner: Preconditioner::Diffusion { pairs: 10 },
     pose_rate: 1.0,
 };
 

@@ -5,6 +5,7 @@ use super::schedule::Step;
 use super::state::FitState;
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::adam::{Adam, AdamConfig, UniformAdam};
+use crate::ops::large_steps::LargeSteps;
 use crate::ops::skinning::PoseAt;
 
 /// A group that moves as a whole, or frame by frame.
@@ -81,8 +82,41 @@ impl VertexGroup {
         self.adam.step(recorder, &self.values, &self.grads, rate, self.steps);
     }
 
+    /// As [`VertexGroup::step`], in the coordinates of `smooth`.
+    pub fn step_in(&mut self, recorder: &mut Recorder<'_>, smooth: &SmoothCoordinates, rate: f32) {
+        self.steps += 1;
+        let SmoothCoordinates { solver, start, u, grad_u, moved } = smooth;
+        solver.solve(recorder, &self.grads, grad_u);
+        self.adam.step(recorder, u, grad_u, rate, self.steps);
+        solver.solve(recorder, u, moved);
+        solver.add(recorder, start, moved, &self.values);
+    }
+
     pub fn read(&self, gpu: &Gpu) -> Result<Vec<f32>, GpuError> {
         gpu.read(&self.values)
+    }
+}
+
+/// `values = start + P u` (see [`crate::ops::large_steps`]): what is optimised is u.
+pub struct SmoothCoordinates {
+    solver: LargeSteps,
+    start: Buffer<f32>,
+    u: Buffer<f32>,
+    grad_u: Buffer<f32>,
+    moved: Buffer<f32>,
+}
+
+impl SmoothCoordinates {
+    /// u = 0 at the group's values. Waits.
+    pub fn new(gpu: &Gpu, solver: LargeSteps, group: &VertexGroup) -> Result<Self, GpuError> {
+        let len = group.values.len();
+        Ok(Self {
+            solver,
+            start: gpu.upload("fit/smooth/start", &gpu.read(&group.values)?),
+            u: gpu.zeros("fit/smooth/u", len),
+            grad_u: gpu.zeros("fit/smooth/grad_u", len),
+            moved: gpu.zeros("fit/smooth/moved", len),
+        })
     }
 }
 

@@ -3,12 +3,12 @@
 
 use std::path::Path;
 
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg32;
 
 use super::FitError;
-use super::config::{FitConfig, Phase};
+use super::config::{FitConfig, FrameSampling, Phase};
 use super::control::{Control, Flow, Pace, StepReport};
 use super::losses::Losses;
 use super::scene::Scene;
@@ -66,7 +66,11 @@ pub(super) fn run(
         }
         work.start_phase(phase)?;
         for epoch in 0..phase.epochs {
-            let order = epoch_order(config.seed, state.stage, nth, epoch, n_frames);
+            let mut rng = epoch_rng(config.seed, state.stage, nth, epoch);
+            let order = match config.frame_sampling {
+                FrameSampling::Uniform => shuffled((0..n_frames).collect(), &mut rng),
+                FrameSampling::ByError => shuffled(sampled(work.losses().frame_errors(), &mut rng), &mut rng),
+            };
             for frames in order.chunks(config.batch) {
                 number += 1;
                 if number <= state.step {
@@ -74,7 +78,7 @@ pub(super) fn run(
                 }
                 let rate = phase.rate * decay(number, steps);
                 work.step(&Step { phase, frames, rate, number })?;
-                work.losses().count(frames.len());
+                work.losses().count(frames);
                 state.step = number;
                 after_step(scene, work, state, steps, &mut pace, outside)?;
             }
@@ -83,13 +87,37 @@ pub(super) fn run(
     work.read_into(state)
 }
 
-/// The order of the frames in an epoch. It depends on the epoch's place alone, so that a resumed fit sees the frames as it
-/// would have.
-fn epoch_order(seed: u64, stage: Stage, phase: usize, epoch: u32, n_frames: usize) -> Vec<usize> {
+/// The randomness of an epoch. It depends on the epoch's place alone, so that a resumed fit sees the frames as it would
+/// have.
+fn epoch_rng(seed: u64, stage: Stage, phase: usize, epoch: u32) -> Pcg32 {
     let stage = if stage == Stage::Geometry { 0 } else { 1 << 63 };
-    let mut order: Vec<usize> = (0..n_frames).collect();
-    order.shuffle(&mut Pcg32::seed_from_u64(seed ^ (stage | (phase as u64) << 32 | epoch as u64)));
+    Pcg32::seed_from_u64(seed ^ (stage | (phase as u64) << 32 | epoch as u64))
+}
+
+fn shuffled(mut order: Vec<usize>, rng: &mut Pcg32) -> Vec<usize> {
+    order.shuffle(rng);
     order
+}
+
+/// As many frames as there are, each as often as its error is of the mean, bounded to half and twice (systematic
+/// sampling). Frames without an error count as the mean, so the first epoch after a resumption sees each once.
+fn sampled(errors: &[Option<f32>], rng: &mut Pcg32) -> Vec<usize> {
+    let known: Vec<f32> = errors.iter().flatten().copied().collect();
+    let mean = (known.iter().sum::<f32>() / known.len().max(1) as f32).max(f32::MIN_POSITIVE);
+    let weights: Vec<f32> = errors.iter().map(|e| e.map_or(1.0, |e| (e / mean).clamp(0.5, 2.0))).collect();
+    let step = weights.iter().sum::<f32>() / weights.len() as f32;
+    let mut next = step * rng.random::<f32>();
+    let (mut frames, mut sum) = (Vec::with_capacity(errors.len()), 0.0);
+    for (frame, weight) in weights.iter().enumerate() {
+        sum += weight;
+        while next < sum && frames.len() < errors.len() {
+            frames.push(frame);
+            next += step;
+        }
+    }
+    // Rounding may leave the last place free.
+    frames.resize(errors.len(), errors.len() - 1);
+    frames
 }
 
 /// Learning rates fall to a tenth over the stage.
@@ -128,7 +156,7 @@ mod tests {
 
     #[test]
     fn each_epoch_has_an_order_of_its_own_that_is_always_the_same() {
-        let order = |stage, phase, epoch| epoch_order(7, stage, phase, epoch, 20);
+        let order = |stage, phase, epoch| shuffled((0..20).collect(), &mut epoch_rng(7, stage, phase, epoch));
         let mut sorted = order(Stage::Geometry, 0, 0);
         assert_eq!(order(Stage::Geometry, 0, 0), sorted);
         for other in [order(Stage::Texture, 0, 0), order(Stage::Geometry, 1, 0), order(Stage::Geometry, 0, 1)] {
@@ -136,6 +164,23 @@ mod tests {
         }
         sorted.sort();
         assert_eq!(sorted, (0..20).collect::<Vec<_>>(), "every frame once");
+    }
+
+    #[test]
+    fn frames_with_large_errors_come_more_often() {
+        let mut rng = epoch_rng(7, Stage::Geometry, 0, 0);
+        assert_eq!(sampled(&[None; 9], &mut rng), (0..9).collect::<Vec<_>>(), "every frame once while nothing is known");
+        let mut errors = vec![Some(1.0); 10];
+        errors[3] = Some(50.0);
+        errors[7] = Some(0.0);
+        let mut counts = [0u32; 10];
+        for _ in 0..1000 {
+            let frames = sampled(&errors, &mut rng);
+            assert_eq!(frames.len(), 10);
+            frames.iter().for_each(|&f| counts[f] += 1);
+        }
+        assert!(counts[3] > 3 * counts[7] && counts[3] < 5 * counts[7], "{counts:?}");
+        assert!(counts.iter().all(|&n| n > 500), "no frame is forgotten: {counts:?}");
     }
 
     #[test]

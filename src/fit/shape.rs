@@ -2,16 +2,18 @@
 
 use super::FitError;
 use super::Inputs;
-use super::config::{Rates, Weights};
-use super::groups::{Group, VertexGroup};
+use super::config::{Phase, Preconditioner, Rates, Weights};
+use super::groups::{Group, SmoothCoordinates, VertexGroup};
 use super::losses::Losses;
 use super::mesh_losses::MeshLosses;
 use super::scene::Scene;
 use super::schedule::Step;
 use super::state::FitState;
-use crate::gpu::Recorder;
+use crate::gpu::{Gpu, GpuError, Recorder};
 use crate::ops::adam::AdamConfig;
 use crate::ops::diffuse::Diffuse;
+use crate::ops::large_steps::LargeSteps;
+use crate::ops::topology::Rows;
 
 /// The parameters with the losses that look at the mesh alone.
 pub(super) struct Shape {
@@ -19,6 +21,9 @@ pub(super) struct Shape {
     offsets: VertexGroup,
     mesh: MeshLosses,
     diffuse: Diffuse,
+    /// The coordinates of a phase with large steps.
+    smooth: Option<SmoothCoordinates>,
+    neighbours: Rows,
 }
 
 impl Shape {
@@ -30,6 +35,8 @@ impl Shape {
             offsets: VertexGroup::new(gpu, "offsets", &state.offsets, config),
             mesh: MeshLosses::new(gpu, inputs.body, inputs.topology),
             diffuse: Diffuse::new(gpu, &neighbours.starts, &neighbours.items),
+            smooth: None,
+            neighbours: neighbours.clone(),
         }
     }
 
@@ -40,6 +47,18 @@ impl Shape {
         let mut recorder = scene.gpu.recorder("fit/shape");
         scene.skinning.shape_forward(&mut recorder, &betas, &offsets, &scene.shape);
         Ok(recorder.submit()?)
+    }
+
+    /// Takes up the phase's way of moving D. Waits.
+    pub fn start_phase(&mut self, gpu: &Gpu, phase: &Phase) -> Result<(), GpuError> {
+        self.smooth = match phase.preconditioner {
+            Preconditioner::LargeSteps { lambda } => {
+                let solver = LargeSteps::new(gpu, &self.neighbours.starts, &self.neighbours.items, lambda.into());
+                Some(SmoothCoordinates::new(gpu, solver, &self.offsets)?)
+            }
+            _ => None,
+        };
+        Ok(())
     }
 
     /// Records the clearing of the gradients, and the body in the T-pose.
@@ -58,9 +77,16 @@ impl Shape {
 
     pub fn step(&mut self, recorder: &mut Recorder<'_>, rates: &Rates, step: &Step<'_>) {
         self.betas.step(recorder, &[0], rates.betas * step.rate);
-        if step.phase.offsets {
-            self.diffuse.apply(recorder, &self.offsets.grads, step.phase.diffusion);
-            self.offsets.step(recorder, rates.offsets * step.rate);
+        if !step.phase.offsets {
+            return;
+        }
+        let rate = rates.offsets * step.rate;
+        if let Preconditioner::Diffusion { pairs } = step.phase.preconditioner {
+            self.diffuse.apply(recorder, &self.offsets.grads, pairs);
+        }
+        match &self.smooth {
+            Some(smooth) => self.offsets.step_in(recorder, smooth, rate),
+            None => self.offsets.step(recorder, rate),
         }
     }
 

@@ -41,7 +41,7 @@ impl<'a> StageWork<'a> {
         let (stage, look): (_, Box<dyn Look>) = match state.stage {
             Stage::Geometry => {
                 let faces = &inputs.body.faces;
-                (&config.geometry, Box::new(FaceColours::new(scene, faces, &config.geometry.weights, state)))
+                (&config.geometry, Box::new(FaceColours::new(scene, faces, config, state)))
             }
             _ => (&config.texture, Box::new(Texture::new(scene, config, state)?)),
         };
@@ -113,7 +113,8 @@ impl<'a> StageWork<'a> {
 
 impl Work for StageWork<'_> {
     fn start_phase(&mut self, phase: &Phase) -> Result<(), FitError> {
-        if let Some(shape) = &self.shape {
+        if let Some(shape) = &mut self.shape {
+            shape.start_phase(&self.scene.gpu, phase)?;
             let mut recorder = self.scene.gpu.recorder("fit/start_phase");
             shape.forward(&mut recorder, self.scene);
             recorder.submit()?;

@@ -2,10 +2,10 @@
 
 use super::{Look, mean_face_colours};
 use crate::fit::FitError;
-use crate::fit::config::{Phase, Rates, Weights};
+use crate::fit::config::{FitConfig, Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::groups::{Group, PoseGroups};
-use crate::fit::losses::{Losses, Term};
+use crate::fit::losses::Losses;
 use crate::fit::scene::Scene;
 use crate::fit::schedule::Step;
 use crate::fit::state::FitState;
@@ -23,10 +23,12 @@ pub struct FaceColours {
     grad_image: Buffer<f32>,
     /// Whether any image of the colours is compared; else nothing moves them.
     compared: bool,
+    /// Whether a phase starts from colours in closed form.
+    solved: bool,
 }
 
 impl FaceColours {
-    pub fn new(scene: &Scene, faces: &[[u32; 3]], weights: &Weights, state: &FitState) -> Self {
+    pub fn new(scene: &Scene, faces: &[[u32; 3]], config: &FitConfig, state: &FitState) -> Self {
         let (gpu, n) = (&scene.gpu, scene.max_pixels);
         Self {
             faces: faces.to_vec(),
@@ -34,15 +36,16 @@ impl FaceColours {
             rgb: RgbL1::new(gpu, n),
             image: gpu.zeros("fit/image", n * 3),
             grad_image: gpu.zeros("fit/grad_image", n * 3),
-            compared: weights.compare_colours(),
+            compared: config.geometry.weights.compare_colours(),
+            solved: config.solve_face_colours,
         }
     }
 }
 
 impl Look for FaceColours {
-    /// Solves the colours anew.
+    /// Solves the colours anew where that is wished.
     fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError> {
-        if self.compared {
+        if self.compared && self.solved {
             let colours = mean_face_colours(scene, &self.faces, poses, phase.level)?;
             scene.gpu.write(&self.colours.values, 0, &colours);
         }
@@ -58,7 +61,7 @@ impl Look for FaceColours {
         let (camera, n, target) = (&frame.level.camera, frame.level.camera.n_pixels(), frame.target());
         let Self { image, grad_image, .. } = self;
         scene.hard.shade(recorder, camera, &self.colours.values, BACKGROUND, image);
-        self.rgb.forward(recorder, n, image, target, None, losses.slot(Term::Rgb));
+        self.rgb.forward(recorder, n, image, target, None, losses.rgb_slot(frame.frame));
         recorder.clear(grad_image);
         self.rgb.backward(recorder, n, image, target, None, frame.per_pixel(frame.weights.rgb), grad_image);
         scene.hard.shade_backward(recorder, camera, &scene.view, grad_image, &self.colours.grads);

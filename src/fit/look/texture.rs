@@ -9,7 +9,7 @@ use crate::fit::config::{FitConfig, Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::frames::FrameLevel;
 use crate::fit::groups::{Group, PoseGroups};
-use crate::fit::losses::{Losses, Term};
+use crate::fit::losses::Losses;
 use crate::fit::scene::Scene;
 use crate::fit::schedule::Step;
 use crate::fit::state::FitState;
@@ -145,7 +145,7 @@ impl Look for Texture {
 
         let weight = frame.per_pixel(frame.weights.rgb) / self.pixel_rate;
         let trusted = Some(&self.trusted[frame.frame][frame.phase.level]);
-        self.rgb.forward(recorder, n, image, target, trusted, losses.slot(Term::Rgb));
+        self.rgb.forward(recorder, n, image, target, trusted, losses.rgb_slot(frame.frame));
         recorder.clear(grad_image);
         self.rgb.backward(recorder, n, image, target, trusted, weight, grad_image);
         interpolate.gather(recorder, n, grad_image, grad_rgb);
