@@ -3,10 +3,12 @@
 //! One file a study. Each has a `Settings` whose default is what docs/results.md shows; tests run smaller ones. A study's
 //! text tells what was done; what came out is computed ([`Verdict`]).
 
+pub mod ablation;
 mod context;
 pub mod cost;
 pub mod cube;
 mod document;
+pub mod fitting;
 mod objective;
 mod painter;
 pub mod pose;
@@ -34,7 +36,7 @@ pub struct Study {
 }
 
 /// All studies in the document's order.
-pub const STUDIES: &[Study] = &[cube::STUDY, pose::STUDY, cost::STUDY];
+pub const STUDIES: &[Study] = &[cube::STUDY, pose::STUDY, ablation::STUDY, cost::STUDY];
 
 /// The study of this name.
 pub fn study(name: &str) -> Option<&'static Study> {
