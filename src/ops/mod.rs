@@ -30,6 +30,7 @@ pub mod interpolate;
 pub mod keypoints;
 pub mod laplacian;
 pub mod large_steps;
+pub mod light;
 mod linear;
 pub mod nmr;
 pub mod normal_consistency;

@@ -1,0 +1,39 @@
+//! Reference twin.
+
+use super::{Light, WRAP};
+use crate::ops::Real;
+
+/// `shade(n)` for a normal of any length.
+pub fn shade<T: Real>(light: &Light, n: [T; 3]) -> [T; 3] {
+    let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+    let cosine = if length > T::zero() {
+        let d = light.direction.map(|x| T::of(x.into()));
+        (n[0] * d[0] + n[1] * d[1] + n[2] * d[2]) / length
+    } else {
+        T::of(-1.0)
+    };
+    let wrap = T::of(WRAP.into());
+    let lamp = ((cosine + wrap) / (T::one() + wrap)).max(T::zero());
+    std::array::from_fn(|k| T::of(light.ambient[k].into()) + T::of(light.strength[k].into()) * lamp)
+}
+
+/// `values · shade(normals)`, `[P, 3]` both.
+pub fn apply<T: Real>(light: &Light, normals: &[T], values: &[T]) -> Vec<T> {
+    let rows = normals.as_chunks::<3>().0.iter().zip(values.as_chunks::<3>().0);
+    rows.flat_map(|(&n, value)| {
+        let shade = shade(light, n);
+        [0, 1, 2].map(|k| value[k] * shade[k])
+    })
+    .collect()
+}
+
+/// `[V, 3]`: the sum of the normals of the faces at each vertex.
+pub fn vertex_normals<T: Real>(faces: &[[u32; 3]], face_normals: &[T], n_vertices: usize) -> Vec<T> {
+    let mut sums = vec![T::zero(); 3 * n_vertices];
+    for (f, face) in faces.iter().enumerate() {
+        for &v in face {
+            (0..3).for_each(|k| sums[3 * v as usize + k] += face_normals[3 * f + k]);
+        }
+    }
+    sums
+}

@@ -1,0 +1,98 @@
+use super::{Light, Shading, Write, cpu};
+use crate::ops::Topology;
+use crate::ops::interpolate::{Interpolate, Sampling};
+use crate::ops::testing::{assert_close, assert_gradient, gpu};
+
+const LIGHT: Light =
+    Light { ambient: [0.5, 0.6, 0.7], strength: [0.6, 0.5, 0.3], direction: [0.48, -0.6, -0.64] };
+
+/// Two faces that share an edge.
+const FACES: [[u32; 3]; 2] = [[0, 1, 2], [2, 1, 3]];
+
+fn numbers(n: usize) -> Vec<f64> {
+    (0..n).map(|k| ((k * 7919) % 17) as f64 / 8.0 - 1.0).collect()
+}
+
+#[test]
+fn the_lamp_reaches_round_the_body_and_no_further() {
+    let [x, y, z] = LIGHT.direction.map(f64::from);
+    let full = cpu::shade(&LIGHT, [x, y, z]);
+    let away = cpu::shade(&LIGHT, [-x, -y, -z]);
+    // Across the terminator: a normal at right angles to the lamp.
+    let across = cpu::shade(&LIGHT, [-y, x, 0.0]);
+    for k in 0..3 {
+        assert!((full[k] - f64::from(LIGHT.ambient[k] + LIGHT.strength[k])).abs() < 1e-6);
+        assert!((away[k] - f64::from(LIGHT.ambient[k])).abs() < 1e-6);
+        let want = f64::from(LIGHT.ambient[k]) + f64::from(LIGHT.strength[k]) * 0.3 / 1.3;
+        assert!((across[k] - want).abs() < 1e-6);
+    }
+    assert_eq!(cpu::shade(&LIGHT, [0.0f64; 3]), LIGHT.ambient.map(f64::from), "no normal, no lamp");
+    assert_eq!(Light::EVEN.shade([0.3, 0.4, -0.5]), [1.0; 3]);
+}
+
+#[test]
+fn a_light_is_checked() {
+    assert!(LIGHT.is_sound() && Light::EVEN.is_sound());
+    assert!(!Light { direction: [1.0, 1.0, 0.0], ..LIGHT }.is_sound());
+    assert!(!Light { ambient: [f32::NAN, 0.0, 0.0], ..LIGHT }.is_sound());
+}
+
+#[test]
+fn the_product_is_its_own_backward_pass() {
+    let (normals, upstream) = (numbers(12), numbers(12).into_iter().rev().collect::<Vec<_>>());
+    let loss =
+        |values: &[f64]| cpu::apply(&LIGHT, &normals, values).iter().zip(&upstream).map(|(a, b)| a * b).sum::<f64>();
+    assert_gradient("values", &numbers(12), &cpu::apply(&LIGHT, &normals, &upstream), loss);
+}
+
+#[test]
+fn gpu_matches_the_twin() {
+    let Some(gpu) = gpu("light::gpu_matches_the_twin") else { return };
+    let (normals, values): (Vec<f32>, Vec<f32>) = (0..300)
+        .map(|k| (((k * 37) % 19) as f32 - 9.0, (k % 11) as f32 * 0.1))
+        .unzip();
+    let shading = Shading::new(&gpu, &Topology::new(4, &FACES));
+    let [n, v] = [&normals, &values].map(|x| gpu.upload("x", x));
+    let (over, add) = (gpu.upload("over", &[9.0f32; 300]), gpu.upload("add", &[1.0f32; 300]));
+    let count = gpu.upload("count", &[90u32]);
+    let mut recorder = gpu.recorder("light/test");
+    shading.apply(&mut recorder, &LIGHT, &n, &count, 100, &v, &over, Write::Over);
+    shading.apply(&mut recorder, &LIGHT, &n, &count, 100, &v, &add, Write::Add);
+    recorder.submit().unwrap();
+    let want = cpu::apply(&LIGHT, &normals[..270], &values[..270]);
+    let over = gpu.read(&over).unwrap();
+    assert_close("over", &over[..270], &want, 1e-6);
+    assert_eq!(over[270..], [9.0; 30], "rows behind the count stay");
+    let added: Vec<f32> = want.iter().map(|x| x + 1.0).collect();
+    assert_close("add", &gpu.read(&add).unwrap()[..270], &added, 1e-6);
+}
+
+#[test]
+fn normals_of_vertices_and_pixels_match_the_twin() {
+    let Some(gpu) = gpu("light::normals_of_vertices_and_pixels_match_the_twin") else { return };
+    let shading = Shading::new(&gpu, &Topology::new(4, &FACES));
+    let face_normals: Vec<f32> = vec![0.0, 0.2, -1.0, 0.5, 0.0, -2.0];
+    let (on_faces, on_vertices) = (gpu.upload("face_normals", &face_normals), gpu.zeros::<f32>("vertex_normals", 12));
+    let pix_to_face = gpu.upload("pix_to_face", &[-1i32, 1, 0, -1]);
+    let bary: Vec<f32> = vec![0.0, 0.0, 0.0, 0.2, 0.3, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let bary_coords = gpu.upload("bary", &bary);
+    let faces = gpu.upload("faces", FACES.as_flattened());
+    let list = Interpolate::new(&gpu, 4, 4);
+    let (texcoords, normals) = (gpu.zeros::<f32>("texcoords", 12), gpu.zeros::<f32>("normals", 12));
+    let mut recorder = gpu.recorder("light/test");
+    shading.vertex_normals(&mut recorder, &on_faces, &on_vertices);
+    list.forward(&mut recorder, 4, &pix_to_face, &bary_coords, &faces, &texcoords, Sampling::ALL);
+    shading.pixel_normals(&mut recorder, &list, 4, &pix_to_face, &bary_coords, &faces, &on_vertices, &normals);
+    recorder.submit().unwrap();
+    let want = cpu::vertex_normals(&FACES, &face_normals, 4);
+    assert_close("vertex_normals", &gpu.read(&on_vertices).unwrap(), &want, 1e-6);
+    let unit = |v: usize| {
+        let n = &want[3 * v..3 * v + 3];
+        let length = n.iter().map(|x| x * x).sum::<f32>().sqrt();
+        [n[0] / length, n[1] / length, n[2] / length]
+    };
+    let ours = gpu.read(&normals).unwrap();
+    let second: [f32; 3] = std::array::from_fn(|k| 0.2 * unit(2)[k] + 0.3 * unit(1)[k] + 0.5 * unit(3)[k]);
+    assert_close("the second pixel", &ours[..3], &second, 1e-6);
+    assert_close("the third pixel", &ours[3..6], &unit(0), 1e-6);
+}
