@@ -8,6 +8,7 @@ use super::pose::Pose;
 use crate::body::{Body, BodyError};
 use crate::camera::Camera;
 use crate::npz::{Npz, NpzError, NpzWriter};
+use crate::ops::light::Light;
 use crate::ops::skinning::cpu::{Posed, forward};
 use crate::ops::texture_field::{TextureFieldConfig, TextureFieldError, TextureFieldParams};
 
@@ -29,6 +30,8 @@ pub struct AvatarModel {
     pub texcoords: Vec<[f32; 3]>,
     pub texture_config: TextureFieldConfig,
     pub texture: TextureFieldParams,
+    /// The light that the clip was filmed in; the texture and the face colours are the albedo under it.
+    pub light: Light,
     /// `[F, 3]` sRGB in [0, 1]: stage 1's colours
     pub face_colours: Vec<[f32; 3]>,
     /// `[N, 72]`
@@ -63,9 +66,16 @@ pub enum ModelError {
 /// What of the file is not an array.
 #[derive(serde::Serialize, serde::Deserialize)]
 struct Meta {
+    /// Absent in files of before there was one: their texture holds the light.
+    #[serde(default = "even")]
+    light: Light,
     texture_config: TextureFieldConfig,
     fps: f64,
     camera: Camera,
+}
+
+fn even() -> Light {
+    Light::EVEN
 }
 
 impl AvatarModel {
@@ -141,6 +151,9 @@ impl AvatarModel {
         if !self.frames.is_sorted_by(|a, b| a < b) {
             return invalid("`frames` is not ascending".to_owned());
         }
+        if !self.light.is_sound() {
+            return invalid("the light is not finite, or its direction has not length one".to_owned());
+        }
         if !(self.fps.is_finite() && self.fps > 0.0) {
             return invalid(format!("fps is {}", self.fps));
         }
@@ -164,7 +177,7 @@ impl AvatarModel {
         let mut body = Cursor::new(Vec::new());
         self.body.write(&mut body)?;
         let body = body.into_inner();
-        let meta = Meta { texture_config: self.texture_config, fps: self.fps, camera: self.camera.clone() };
+        let meta = Meta { light: self.light, texture_config: self.texture_config, fps: self.fps, camera: self.camera.clone() };
         let meta = serde_json::to_vec(&meta).map_err(|e| ModelError::Invalid(e.to_string()))?;
         let mut npz = NpzWriter::new(out);
         npz.add("format_version", &[], &[FORMAT_VERSION])?;
@@ -214,6 +227,7 @@ impl AvatarModel {
                 w1: flat("texture_w1")?,
                 w2: flat("texture_w2")?,
             },
+            light: meta.light,
             face_colours: rows(&npz, "face_colours")?,
             poses: rows(&npz, "poses")?,
             transl: rows(&npz, "transl")?,

@@ -5,12 +5,12 @@ use std::sync::Arc;
 use image::{GrayImage, RgbaImage};
 
 use super::AvatarModel;
-use super::pose::Pose;
+use super::pose::{Pose, vertex_normals};
 use super::texture::SurfaceTexture;
-use super::trace::{MAX_SIDE_PX, Picture, Tracer};
+use super::trace::{MAX_SIDE_PX, Picture, SurfacePoint, Tracer};
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
-use crate::ops::skinning::cpu::forward;
+use crate::ops::skinning::cpu::{Posed, forward};
 use crate::ops::texture_field::TextureFieldError;
 
 /// Where the person stands, world space, metres.
@@ -31,8 +31,8 @@ pub enum Background {
     Colour([u8; 3]),
 }
 
-/// The light of a picture. The texture holds the light that it was captured in, so both give the same until an avatar
-/// carries a light of its own.
+/// The light of a picture: the one that the clip was filmed in, which stands still in the world, or none, which shows the
+/// albedo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Light {
@@ -149,7 +149,16 @@ impl Renderer {
 
     /// The picture at the camera's size: straight alpha where the background is transparent. Waits.
     pub fn render(&self, spec: &RenderSpec) -> Result<RgbaImage, RenderError> {
-        let picture = self.draw(spec, |points| self.texture.colours(&self.gpu, points))?;
+        let mut normals = None;
+        let picture = self.draw(spec, |points, posed| {
+            let mut colours = self.texture.colours(&self.gpu, points)?;
+            if spec.light == Light::Captured {
+                let faces = &self.model.body.faces;
+                let normals = normals.get_or_insert_with(|| vertex_normals(&posed.vertices, faces));
+                self.shade(normals, points, &mut colours);
+            }
+            Ok(colours)
+        })?;
         Ok(match spec.background {
             Background::Transparent => picture.transparent(),
             Background::Colour(rgb) => picture.over(|_, _| rgb),
@@ -158,13 +167,13 @@ impl Renderer {
 
     /// The person's coverage of each pixel, 0 to 255, without shading. Waits.
     pub fn mask(&self, spec: &RenderSpec) -> Result<GrayImage, RenderError> {
-        Ok(self.draw(spec, |points| Ok(vec![[0.0; 3]; points.len()]))?.coverage())
+        Ok(self.draw(spec, |points, _| Ok(vec![[0.0; 3]; points.len()]))?.coverage())
     }
 
     fn draw(
         &self,
         spec: &RenderSpec,
-        colour: impl FnMut(&[super::SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError>,
+        mut colour: impl FnMut(&[SurfacePoint], &Posed<f32>) -> Result<Vec<[f32; 3]>, GpuError>,
     ) -> Result<Picture, RenderError> {
         spec.check(&self.model)?;
         let model = &self.model;
@@ -177,7 +186,17 @@ impl Renderer {
             }
         };
         let posed = forward(&model.body, betas, Some(&model.offsets), &spec.pose, transl);
-        Ok(self.tracer.trace(&posed.vertices, &spec.camera, spec.samples, colour)?)
+        Ok(self.tracer.trace(&posed.vertices, &spec.camera, spec.samples, |points| colour(points, &posed))?)
+    }
+
+    /// Puts the captured light on albedos, by the smooth normals `[V]` of the posed body.
+    fn shade(&self, normals: &[[f32; 3]], points: &[SurfacePoint], colours: &mut [[f32; 3]]) {
+        for (point, rgb) in points.iter().zip(colours) {
+            let corners = self.model.body.faces[point.face as usize].map(|v| normals[v as usize]);
+            let normal = std::array::from_fn(|k| (0..3).map(|c| point.bary[c] * corners[c][k]).sum());
+            let shade = self.model.light.shade(normal);
+            *rgb = std::array::from_fn(|k| (rgb[k] * shade[k]).min(1.0));
+        }
     }
 }
 

@@ -36,6 +36,7 @@ pub(crate) fn turning_avatar() -> AvatarModel {
         texcoords: body.v_template.iter().map(|v| v.map(|x| 0.5 + 0.5 * x)).collect(),
         texture_config,
         texture,
+        light: crate::ops::light::Light::EVEN,
         face_colours: vec![[0.5, 0.25, 0.75]; body.n_faces()],
         poses: poses.collect(),
         transl: (0..n).map(|i| [0.02 * i as f32, 0.1, 3.0]).collect(),

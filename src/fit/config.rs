@@ -113,6 +113,8 @@ pub struct FitConfig {
     pub silhouette_gradient: SilhouetteGradient,
     /// Whether each phase of stage 1 starts from the face colours that are best for its geometry, solved in closed form.
     pub solve_face_colours: bool,
+    /// Whether the light is told from the albedo ([`crate::ops::light`]); else the colours hold both.
+    pub light: bool,
     pub rates: Rates,
     /// Stage 1, with one colour a face.
     pub geometry: StageConfig,
@@ -151,6 +153,7 @@ impl FitConfig {
             frame_sampling: FrameSampling::Uniform,
             silhouette_gradient: SilhouetteGradient::Edge,
             solve_face_colours: true,
+            light: true,
             rates: Rates {
                 betas: 1e-2,
                 pose: 4e-3,
@@ -197,6 +200,7 @@ impl FitConfig {
         let mut config = Self::standard(seed);
         let plain = Phase { preconditioner: Preconditioner::None, ..FINE };
         config.silhouette_gradient = SilhouetteGradient::Nmr;
+        config.light = false;
         config.geometry.weights.motion = 0.0;
         config.geometry.phases =
             vec![Phase { epochs: 10, offsets: false, ..plain.clone() }, Phase { epochs: 40, ..plain.clone() }];

@@ -34,7 +34,7 @@ use crate::gpu::{Gpu, GpuError};
 use crate::npz::NpzError;
 use crate::ops::Topology;
 use groups::PoseGroups;
-use look::mean_face_colours;
+use look::{Lit, solve_face_colours};
 use scene::Scene;
 use schedule::{Outside, Step, Work};
 use shape::Shape;
@@ -134,15 +134,18 @@ fn run_stage(
     let mut work = StageWork::new(scene, inputs, state)?;
     schedule::run(scene, config, &stage.phases, &mut work, state, outside)?;
     if state.stage == Stage::Geometry && !stage.weights.compare_colours() {
-        solve_colours(scene, &inputs.body.faces, state)?;
+        solve_colours(scene, inputs, state)?;
     }
     check_finite(state)
 }
 
-/// Face colours for a geometry that was fitted without looking at colours.
-fn solve_colours(scene: &Scene, faces: &[[u32; 3]], state: &mut FitState) -> Result<(), FitError> {
+/// Face colours and light for a geometry that was fitted without looking at colours.
+fn solve_colours(scene: &Scene, inputs: &Inputs<'_>, state: &mut FitState) -> Result<(), FitError> {
     Shape::stand(scene, state)?;
-    state.face_colours = mean_face_colours(scene, faces, &PoseGroups::new(&scene.gpu, state), 0)?;
+    let (faces, poses) = (&inputs.body.faces, PoseGroups::new(&scene.gpu, state));
+    let mut lit = inputs.config.light.then(|| Lit::new(&scene.gpu, faces, inputs.topology, state.light));
+    state.face_colours = solve_face_colours(scene, faces, lit.as_mut(), &poses, 0)?;
+    state.light = lit.map_or(state.light, |lit| lit.light);
     Ok(())
 }
 

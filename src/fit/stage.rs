@@ -39,11 +39,8 @@ impl<'a> StageWork<'a> {
     pub fn new(scene: &'a Scene, inputs: &Inputs<'a>, state: &FitState) -> Result<Self, FitError> {
         let (gpu, config) = (&scene.gpu, inputs.config);
         let (stage, look): (_, Box<dyn Look>) = match state.stage {
-            Stage::Geometry => {
-                let faces = &inputs.body.faces;
-                (&config.geometry, Box::new(FaceColours::new(scene, faces, config, state)))
-            }
-            _ => (&config.texture, Box::new(Texture::new(scene, config, state)?)),
+            Stage::Geometry => (&config.geometry, Box::new(FaceColours::new(scene, inputs, state))),
+            _ => (&config.texture, Box::new(Texture::new(scene, inputs, state)?)),
         };
         let weights = &stage.weights;
         let shape = stage.shape.then(|| Shape::new(scene, inputs, state));
@@ -73,15 +70,18 @@ impl<'a> StageWork<'a> {
         let coloured = weights.rgb != 0.0;
         scene.clear_frame_gradients(recorder);
         scene.forward(recorder, frame.level, self.poses.at(frame.frame));
+        self.look.start_frame(recorder, scene);
         if coloured {
             self.look.hard(recorder, scene, frame, moves, &self.losses);
         }
         if !moves {
+            self.look.end_frame(recorder);
             return;
         }
         let borders = if coloured { self.look.borders() } else { None };
         self.silhouette.record(recorder, scene, frame, borders, &self.losses);
         self.record_soft(recorder, frame);
+        self.look.end_frame(recorder);
         if let Some(keypoints) = &self.keypoints {
             let weight = frame.part * weights.keypoints;
             keypoints.record(recorder, scene, frame.frame, weight, self.losses.slot(Term::Keypoints));

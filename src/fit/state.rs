@@ -4,10 +4,11 @@ use std::path::Path;
 
 use crate::body::Body;
 use crate::npz::{Npz, NpzError, NpzWriter};
+use crate::ops::light::Light;
 use crate::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
 
 /// The version of the checkpoint format.
-const VERSION: f64 = 1.0;
+const VERSION: f64 = 2.0;
 
 /// How far a fit has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -54,6 +55,8 @@ pub struct FitState {
     pub transl: Vec<f32>,
     /// `[F, 3]`, 0…1
     pub face_colours: Vec<f32>,
+    /// The colours are in this light.
+    pub light: Light,
     /// `[V, 3]`, 0…1
     pub texcoords: Vec<f32>,
     pub field: TextureFieldParams,
@@ -80,6 +83,7 @@ impl FitState {
             poses: poses.concat(),
             transl: transl.concat(),
             face_colours: vec![0.5; body.n_faces() * 3],
+            light: Light::EVEN,
             field: TextureFieldParams::random(&field, seed),
             texels: None,
         }
@@ -91,7 +95,7 @@ impl FitState {
 
     /// False where a parameter has become infinite or NaN.
     pub fn is_finite(&self) -> bool {
-        self.arrays().iter().all(|(_, values)| values.iter().all(|x| x.is_finite()))
+        self.light.is_sound() && self.arrays().iter().all(|(_, values)| values.iter().all(|x| x.is_finite()))
     }
 
     /// Writes the state; the file appears whole or not at all.
@@ -107,6 +111,8 @@ impl FitState {
         npz.add("version", &[], &[VERSION])?;
         npz.add("stage", &[], &[stage])?;
         npz.add("step", &[], &[self.step])?;
+        let Light { ambient, strength, direction } = self.light;
+        npz.add("light", &[3, 3], [ambient, strength, direction].as_flattened())?;
         for (name, data) in self.arrays() {
             npz.add(name, &[data.len()], data)?;
         }
@@ -147,6 +153,9 @@ impl FitState {
             _ => Stage::Done,
         };
         state.step = npz.scalar("step")? as u32;
+        let light = npz.shaped("light", &[3, 3])?.f32();
+        let [ambient, strength, direction] = [0, 1, 2].map(|row| [0, 1, 2].map(|k| light[3 * row + k]));
+        state.light = Light { ambient, strength, direction };
         let mut whole = true;
         let mut take = |name: &str, into: &mut Vec<f32>| -> Result<(), NpzError> {
             let array = npz.get(name)?.f32();
@@ -167,7 +176,7 @@ impl FitState {
         if let Some(texels) = &mut state.texels {
             take("texels", &mut texels.values)?;
         }
-        Ok(whole.then_some(state))
+        Ok((whole && state.light.is_sound()).then_some(state))
     }
 }
 

@@ -45,6 +45,7 @@ fn truth_avatar(folder: &Path) -> AvatarModel {
         texcoords: vec![[0.5; 3]; body.n_vertices()],
         texture: TextureFieldParams::zeros(&texture_config),
         texture_config,
+        light: effigy::ops::light::Light::EVEN,
         face_colours: vec![[0.5; 3]; body.n_faces()],
         frames: (0..poses.len() as u32).collect(),
         transl: trans.into_iter().map(|t| minus(t, pelvis)).collect(),

@@ -1,8 +1,8 @@
 //! One colour a face (paper §3.6, stage 1): too coarse to hide what the geometry has wrong.
 
-use super::{Look, mean_face_colours};
-use crate::fit::FitError;
-use crate::fit::config::{FitConfig, Phase, Rates};
+use super::{Lit, Look, solve_face_colours};
+use crate::fit::{FitError, Inputs};
+use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::groups::{Group, PoseGroups};
 use crate::fit::losses::Losses;
@@ -12,12 +12,15 @@ use crate::fit::state::FitState;
 use crate::gpu::{Buffer, Recorder};
 use crate::ops::adam::AdamConfig;
 use crate::ops::edge_gradient::RgbGradient;
+use crate::ops::light::Write;
 use crate::ops::rgb_l1::RgbL1;
 
 /// Face colours with their image.
 pub struct FaceColours {
     faces: Vec<[u32; 3]>,
+    /// Under a light the albedo.
     colours: Group,
+    lit: Option<LitFaces>,
     rgb: RgbL1,
     image: Buffer<f32>,
     grad_image: Buffer<f32>,
@@ -27,11 +30,26 @@ pub struct FaceColours {
     solved: bool,
 }
 
+/// The faces under a light.
+struct LitFaces {
+    lit: Lit,
+    /// `[F, 3]`
+    shaded: Buffer<f32>,
+    grad_shaded: Buffer<f32>,
+}
+
 impl FaceColours {
-    pub fn new(scene: &Scene, faces: &[[u32; 3]], config: &FitConfig, state: &FitState) -> Self {
-        let (gpu, n) = (&scene.gpu, scene.max_pixels);
+    pub fn new(scene: &Scene, inputs: &Inputs<'_>, state: &FitState) -> Self {
+        let (gpu, n, config) = (&scene.gpu, scene.max_pixels, inputs.config);
+        let faces = &inputs.body.faces;
+        let lit = || LitFaces {
+            lit: Lit::new(gpu, faces, inputs.topology, state.light),
+            shaded: gpu.zeros("fit/shaded_colours", state.face_colours.len()),
+            grad_shaded: gpu.zeros("fit/grad_shaded_colours", state.face_colours.len()),
+        };
         Self {
             faces: faces.to_vec(),
+            lit: config.light.then(lit),
             colours: Group::whole(gpu, "face_colours", &state.face_colours, AdamConfig::default()),
             rgb: RgbL1::new(gpu, n),
             image: gpu.zeros("fit/image", n * 3),
@@ -46,7 +64,8 @@ impl Look for FaceColours {
     /// Solves the colours anew where that is wished.
     fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError> {
         if self.compared && self.solved {
-            let colours = mean_face_colours(scene, &self.faces, poses, phase.level)?;
+            let lit = self.lit.as_mut().map(|faces| &mut faces.lit);
+            let colours = solve_face_colours(scene, &self.faces, lit, poses, phase.level)?;
             scene.gpu.write(&self.colours.values, 0, &colours);
         }
         Ok(())
@@ -56,15 +75,24 @@ impl Look for FaceColours {
         self.colours.clear(recorder);
     }
 
+    fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene) {
+        if let Some(LitFaces { lit, shaded, grad_shaded }) = &self.lit {
+            lit.start_frame(recorder, scene);
+            lit.faces(recorder, &self.colours.values, shaded, Write::Over);
+            recorder.clear(grad_shaded);
+        }
+    }
+
     /// Within a face nothing changes, so the faces' insides do not move the mesh.
     fn hard(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: &FrameStep<'_>, _moves: bool, losses: &Losses) {
         let (camera, n, target) = (&frame.level.camera, frame.level.camera.n_pixels(), frame.target());
         let Self { image, grad_image, .. } = self;
-        scene.hard.shade(recorder, camera, &self.colours.values, BACKGROUND, image);
+        let (colours, grad_colours) = self.face_colours();
+        scene.hard.shade(recorder, camera, colours, BACKGROUND, image);
         self.rgb.forward(recorder, n, image, target, None, losses.rgb_slot(frame.frame));
         recorder.clear(grad_image);
         self.rgb.backward(recorder, n, image, target, None, frame.per_pixel(frame.weights.rgb), grad_image);
-        scene.hard.shade_backward(recorder, camera, &scene.view, grad_image, &self.colours.grads);
+        scene.hard.shade_backward(recorder, camera, &scene.view, grad_image, grad_colours);
     }
 
     fn borders(&self) -> Option<RgbGradient<'_>> {
@@ -72,7 +100,16 @@ impl Look for FaceColours {
     }
 
     fn face_colours(&self) -> (&Buffer<f32>, &Buffer<f32>) {
-        (&self.colours.values, &self.colours.grads)
+        match &self.lit {
+            Some(faces) => (&faces.shaded, &faces.grad_shaded),
+            None => (&self.colours.values, &self.colours.grads),
+        }
+    }
+
+    fn end_frame(&self, recorder: &mut Recorder<'_>) {
+        if let Some(LitFaces { lit, grad_shaded, .. }) = &self.lit {
+            lit.faces(recorder, grad_shaded, &self.colours.grads, Write::Add);
+        }
     }
 
     fn step(&mut self, recorder: &mut Recorder<'_>, rates: &Rates, step: &Step<'_>) {
@@ -83,6 +120,9 @@ impl Look for FaceColours {
 
     fn read_into(&self, scene: &Scene, state: &mut FitState) -> Result<(), FitError> {
         state.face_colours = self.colours.read(&scene.gpu)?;
+        if let Some(faces) = &self.lit {
+            state.light = faces.lit.light;
+        }
         Ok(())
     }
 }

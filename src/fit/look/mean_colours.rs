@@ -1,21 +1,48 @@
-//! One colour a face in closed form: for fixed geometry the mean over all pixels that show the face minimises the
-//! squared error, and needs no learning rate. Stage 1 starts from it and goes on by gradient.
+//! One colour a face in closed form, and the light with it: for fixed geometry and light the albedo that fits best is a
+//! weighted mean over all pixels that show the face, and needs no learning rate. Stage 1 starts from it and goes on by
+//! gradient.
 
+use super::Lit;
+use super::lamp::{Observation, albedos, solve_light};
 use crate::fit::groups::PoseGroups;
 use crate::fit::scene::Scene;
-use crate::gpu::GpuError;
+use crate::gpu::{Buffer, GpuError};
+use crate::ops::light::Light;
 
-/// Mean colours `[F, 3]` over all frames at `level`, for the scene's shape. A face that no pixel showed takes the mean of
-/// its neighbours, from the seen ones outwards.
-pub fn mean_face_colours(
+/// Colours `[F, 3]` over all frames at `level`, for the scene's shape, and with `lit` the light, which is told from the
+/// colours and put into `lit`. A face that no pixel showed takes the mean of its neighbours, from the seen ones outwards.
+pub fn solve_face_colours(
     scene: &Scene,
     faces: &[[u32; 3]],
+    lit: Option<&mut Lit>,
     poses: &PoseGroups,
     level: usize,
 ) -> Result<Vec<f32>, GpuError> {
+    let observations = observe(scene, faces.len(), lit.as_deref(), poses, level)?;
+    let mut light = Light::EVEN;
+    if let Some(lit) = lit {
+        // One camera takes the whole clip; its y points down and its z forward.
+        let [_, _, _, ux, uy, uz, fx, fy, fz] = scene.frames[0].levels[level].camera.rotation.map(|x| x as f32);
+        lit.light = solve_light(&observations, faces.len(), [-ux, -uy, -uz], [fx, fy, fz]);
+        light = lit.light;
+    }
+    let (mut colours, counts) = albedos(&observations, faces.len(), &light);
+    colours.iter_mut().for_each(|c| *c = c.min(1.0));
+    fill_unseen(faces, &mut colours, &counts);
+    Ok(colours)
+}
+
+/// What each frame shows of each face. Without `lit` the normals are zero.
+fn observe(
+    scene: &Scene,
+    n_faces: usize,
+    lit: Option<&Lit>,
+    poses: &PoseGroups,
+    level: usize,
+) -> Result<Vec<Observation>, GpuError> {
     let gpu = &scene.gpu;
-    let sums = gpu.zeros::<f32>("fit/colour_sums", faces.len() * 3);
-    let counts = gpu.zeros::<f32>("fit/colour_counts", faces.len() * 3);
+    let (sums, counts) = (gpu.zeros::<f32>("fit/colour_sums", n_faces * 3), gpu.zeros("fit/colour_counts", n_faces * 3));
+    let mut observations = Vec::new();
     for (frame, images) in scene.frames.iter().enumerate() {
         let level = &images.levels[level];
         let (mut colour, mut seen) = (Vec::new(), Vec::new());
@@ -26,19 +53,29 @@ pub fn mean_face_colours(
         }
         let colour = gpu.upload("fit/target_colour", &colour);
         let seen = gpu.upload("fit/target_seen", &seen);
-        let mut recorder = gpu.recorder("fit/mean_face_colours");
+        let mut recorder = gpu.recorder("fit/observe");
+        let totals: [&Buffer<f32>; 2] = [&sums, &counts];
+        totals.into_iter().for_each(|buffer| recorder.clear(buffer));
         scene.forward(&mut recorder, level, poses.at(frame));
+        if let Some(lit) = lit {
+            lit.start_frame(&mut recorder, scene);
+        }
         scene.hard.shade_backward(&mut recorder, &level.camera, &scene.view, &colour, &sums);
         scene.hard.shade_backward(&mut recorder, &level.camera, &scene.view, &seen, &counts);
         recorder.submit()?;
+        let (sums, counts) = (gpu.read(&sums)?, gpu.read(&counts)?);
+        let normals = lit.map(|lit| lit.read_face_normals(gpu)).transpose()?;
+        for face in (0..n_faces).filter(|face| counts[3 * face] > 0.0) {
+            let weight = counts[3 * face];
+            observations.push(Observation {
+                face: face as u32,
+                weight,
+                colour: std::array::from_fn(|k| sums[3 * face + k] / weight),
+                normal: normals.as_ref().map_or([0.0; 3], |normals| normals[face]),
+            });
+        }
     }
-    let (mut colours, counts) = (gpu.read(&sums)?, gpu.read(&counts)?);
-    let counts: Vec<f32> = counts.chunks_exact(3).map(|c| c[0]).collect();
-    for (colour, &count) in colours.chunks_exact_mut(3).zip(&counts) {
-        colour.iter_mut().for_each(|c| *c /= count.max(1.0));
-    }
-    fill_unseen(faces, &mut colours, &counts);
-    Ok(colours)
+    Ok(observations)
 }
 
 /// Gives each face without pixels the mean colour of the neighbours that have one, ring by ring.

@@ -1,12 +1,15 @@
 //! What colours the surface: one colour a face in stage 1, a texture in stage 2.
 
 mod faces;
+mod lamp;
+mod lit;
 mod mean_colours;
 mod model;
 mod texture;
 
 pub use faces::FaceColours;
-pub use mean_colours::mean_face_colours;
+pub use lit::Lit;
+pub use mean_colours::solve_face_colours;
 pub use texture::Texture;
 
 use super::FitError;
@@ -28,6 +31,9 @@ pub(super) trait Look {
     /// Records what comes before the frames of a step: gradients are cleared.
     fn start_step(&self, recorder: &mut Recorder<'_>, scene: &Scene);
 
+    /// Records what comes before the images of a frame, with the body in its pose.
+    fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene);
+
     /// Records the L1 loss of the scene's last hard image and its gradients: of the colours, and where `moves` of the
     /// mesh through what the faces show (added to the scene's `grad_view`).
     fn hard(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: &FrameStep<'_>, moves: bool, losses: &Losses);
@@ -37,6 +43,9 @@ pub(super) trait Look {
 
     /// `[F, 3]`: the colours that the soft image is drawn with, and where their gradient is added.
     fn face_colours(&self) -> (&Buffer<f32>, &Buffer<f32>);
+
+    /// Records what comes after the images of a frame.
+    fn end_frame(&self, recorder: &mut Recorder<'_>);
 
     fn step(&mut self, recorder: &mut Recorder<'_>, rates: &Rates, step: &Step<'_>);
 

@@ -2,10 +2,10 @@
 //! with the face colours as they stand; where it is fitted too, each face has the texture's colour in its middle, without
 //! a gradient (the paper's `sg(φ)`).
 
-use super::Look;
 use super::model::TextureModel;
-use crate::fit::FitError;
-use crate::fit::config::{FitConfig, Phase, Rates};
+use super::{Lit, Look, solve_face_colours};
+use crate::fit::{FitError, Inputs};
+use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::frames::FrameLevel;
 use crate::fit::groups::{Group, PoseGroups};
@@ -17,6 +17,7 @@ use crate::gpu::{Buffer, Gpu, Recorder};
 use crate::ops::adam::AdamConfig;
 use crate::ops::edge_gradient::RgbGradient;
 use crate::ops::interpolate::{Interpolate, Sampling};
+use crate::ops::light::Write;
 use crate::ops::rgb_l1::RgbL1;
 
 /// A texture, its coordinates, and the way from them to pixels and back.
@@ -29,8 +30,11 @@ pub struct Texture {
     uv_faces: Option<Buffer<u32>>,
     /// Whether the coordinates are learned.
     learned: bool,
+    faces: Vec<[u32; 3]>,
+    lit: Option<LitTexture>,
     interpolate: Interpolate,
     rgb: RgbL1,
+    /// Under a light the albedo.
     face_colours: Buffer<f32>,
     /// Scratch: the soft image does not move the colours.
     grad_face_colours: Buffer<f32>,
@@ -44,6 +48,17 @@ pub struct Texture {
     /// `[N][level]`: weights of the pixels, see [`trusted_pixels`].
     trusted: Vec<Vec<Buffer<f32>>>,
     pixel_rate: f32,
+}
+
+/// The texture under a light: its colours are the albedo.
+struct LitTexture {
+    lit: Lit,
+    /// `[F, 3]`: the face colours in the light of the frame
+    shaded_faces: Buffer<f32>,
+    /// `[P, 3]`, as are the others
+    normals: Buffer<f32>,
+    shaded: Buffer<f32>,
+    grad_shaded: Buffer<f32>,
 }
 
 /// The middles of all faces, as an image with a pixel a face.
@@ -79,13 +94,21 @@ fn trusted_pixels(level: &FrameLevel, pixels: &[u32]) -> Vec<f32> {
 }
 
 impl Texture {
-    pub fn new(scene: &Scene, config: &FitConfig, state: &FitState) -> Result<Self, FitError> {
+    pub fn new(scene: &Scene, inputs: &Inputs<'_>, state: &FitState) -> Result<Self, FitError> {
         let (gpu, n, n_faces) = (&scene.gpu, scene.max_pixels, scene.corners.n_faces());
+        let (config, faces) = (inputs.config, &inputs.body.faces);
         let trusted = |level: &FrameLevel| -> Result<_, FitError> {
             Ok(gpu.upload("fit/trusted", &trusted_pixels(level, &gpu.read(&level.target)?)))
         };
         let trusted = scene.frames.iter().map(|frame| frame.levels.iter().map(trusted).collect());
         let zeros = |name: &str| gpu.zeros::<f32>(&format!("fit/{name}"), n * 3);
+        let lit = || LitTexture {
+            lit: Lit::new(gpu, faces, inputs.topology, state.light),
+            shaded_faces: gpu.zeros("fit/shaded_faces", n_faces * 3),
+            normals: zeros("pixel_normals"),
+            shaded: zeros("shaded"),
+            grad_shaded: zeros("grad_shaded"),
+        };
         let texels = state.texels.as_ref();
         let coords = texels.map_or(state.texcoords.clone(), |t| t.uvs.iter().flat_map(|&[u, v]| [u, v, 0.0]).collect());
         Ok(Self {
@@ -94,6 +117,8 @@ impl Texture {
             texcoords: Group::whole(gpu, "texcoords", &coords, AdamConfig::default()),
             uv_faces: texels.map(|t| gpu.upload("fit/uv_faces", t.uv_faces.as_flattened())),
             learned: texels.is_none() && config.rates.texcoords != 0.0,
+            faces: faces.clone(),
+            lit: config.light.then(lit),
             interpolate: Interpolate::new(gpu, n, n),
             rgb: RgbL1::new(gpu, n),
             face_colours: gpu.upload("fit/face_colours", &state.face_colours),
@@ -115,7 +140,12 @@ impl Texture {
 }
 
 impl Look for Texture {
-    fn start_phase(&mut self, _scene: &Scene, _poses: &PoseGroups, _phase: &Phase) -> Result<(), FitError> {
+    /// Solves light and face colours anew for the geometry as it is.
+    fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError> {
+        if let Some(LitTexture { lit, .. }) = &mut self.lit {
+            let colours = solve_face_colours(scene, &self.faces, Some(lit), poses, phase.level)?;
+            scene.gpu.write(&self.face_colours, 0, &colours);
+        }
         Ok(())
     }
 
@@ -132,6 +162,13 @@ impl Look for Texture {
         }
     }
 
+    fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene) {
+        if let Some(LitTexture { lit, shaded_faces, .. }) = &self.lit {
+            lit.start_frame(recorder, scene);
+            lit.faces(recorder, &self.face_colours, shaded_faces, Write::Over);
+        }
+    }
+
     fn hard(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: &FrameStep<'_>, moves: bool, losses: &Losses) {
         let Self { model, interpolate, image, grad_image, grad_rgb, grad_coords, grad_bary, .. } = self;
         let (camera, n, target) = (&frame.level.camera, frame.level.camera.n_pixels(), frame.target());
@@ -141,14 +178,28 @@ impl Look for Texture {
         interpolate.forward(recorder, n, &hard.pix_to_face, &hard.bary_coords, faces, texcoords, sampling);
         let n_max = interpolate.n_max(n);
         model.forward(recorder, &interpolate.coords, &interpolate.count, n_max);
-        interpolate.scatter(recorder, n, model.rgb(), BACKGROUND, image);
+        let shown = match &self.lit {
+            Some(LitTexture { lit, normals, shaded, .. }) => {
+                lit.pixel_normals(recorder, scene, interpolate, n, normals);
+                lit.pixels(recorder, interpolate, n, normals, model.rgb(), shaded);
+                shaded
+            }
+            None => model.rgb(),
+        };
+        interpolate.scatter(recorder, n, shown, BACKGROUND, image);
 
         let weight = frame.per_pixel(frame.weights.rgb) / self.pixel_rate;
         let trusted = Some(&self.trusted[frame.frame][frame.phase.level]);
         self.rgb.forward(recorder, n, image, target, trusted, losses.rgb_slot(frame.frame));
         recorder.clear(grad_image);
         self.rgb.backward(recorder, n, image, target, trusted, weight, grad_image);
-        interpolate.gather(recorder, n, grad_image, grad_rgb);
+        match &self.lit {
+            Some(LitTexture { lit, normals, grad_shaded, .. }) => {
+                interpolate.gather(recorder, n, grad_image, grad_shaded);
+                lit.pixels(recorder, interpolate, n, normals, grad_shaded, grad_rgb);
+            }
+            None => interpolate.gather(recorder, n, grad_image, grad_rgb),
+        }
         recorder.clear(grad_coords);
         model.backward(recorder, &interpolate.coords, &interpolate.count, n_max, grad_rgb, grad_coords);
         if self.learned {
@@ -169,8 +220,11 @@ impl Look for Texture {
     }
 
     fn face_colours(&self) -> (&Buffer<f32>, &Buffer<f32>) {
-        (&self.face_colours, &self.grad_face_colours)
+        let shown = self.lit.as_ref().map_or(&self.face_colours, |texture| &texture.shaded_faces);
+        (shown, &self.grad_face_colours)
     }
+
+    fn end_frame(&self, _recorder: &mut Recorder<'_>) {}
 
     fn step(&mut self, recorder: &mut Recorder<'_>, rates: &Rates, step: &Step<'_>) {
         self.steps += 1;
@@ -184,7 +238,10 @@ impl Look for Texture {
         if self.learned {
             state.texcoords = self.texcoords.read(&scene.gpu)?;
         }
-        if self.middles.is_some() {
+        if let Some(texture) = &self.lit {
+            state.light = texture.lit.light;
+        }
+        if self.middles.is_some() || self.lit.is_some() {
             state.face_colours = scene.gpu.read(&self.face_colours)?;
         }
         self.model.read_into(&scene.gpu, state)

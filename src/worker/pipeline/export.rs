@@ -66,6 +66,7 @@ fn model_of(fitted: &Fitted, frames: &[u32]) -> AvatarModel {
         texcoords: state.texcoords.as_chunks().0.to_vec(),
         texture_config: fitted.config.field,
         texture: state.field.clone(),
+        light: state.light,
         face_colours: state.face_colours.as_chunks().0.to_vec(),
         poses: state.poses.as_chunks().0.to_vec(),
         transl: state.transl.as_chunks().0.to_vec(),

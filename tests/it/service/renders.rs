@@ -21,6 +21,7 @@ fn model() -> AvatarModel {
         texcoords: body.v_template.iter().map(|v| v.map(|x| 0.5 + 0.4 * x)).collect(),
         texture: TextureFieldParams::random(&texture_config, 5),
         texture_config,
+        light: effigy::ops::light::Light::EVEN,
         face_colours: vec![[0.5; 3]; body.n_faces()],
         poses: vec![upright; 2],
         transl: vec![[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]],

@@ -1,0 +1,84 @@
+//! The light on the posed body: its normals, and colours times their shades.
+
+use crate::fit::scene::Scene;
+use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
+use crate::ops::Topology;
+use crate::ops::face_normals::FaceNormals;
+use crate::ops::interpolate::Interpolate;
+use crate::ops::light::{Light, Shading, Write};
+
+/// A light and what it needs to know of the body. One frame at a time: the scene's last one.
+pub struct Lit {
+    pub light: Light,
+    face_normals: FaceNormals,
+    shading: Shading,
+    /// `[F, 3]`, world space
+    on_faces: Buffer<f32>,
+    /// `[V, 3]`, world space
+    on_vertices: Buffer<f32>,
+    /// `[1]`: F
+    all_faces: Buffer<u32>,
+    n_faces: usize,
+}
+
+impl Lit {
+    pub fn new(gpu: &Gpu, faces: &[[u32; 3]], topology: &Topology, light: Light) -> Self {
+        let face_normals = FaceNormals::new(gpu, faces, topology);
+        Self {
+            light,
+            on_faces: face_normals.normals(gpu, "fit/lit/face_normals"),
+            on_vertices: gpu.zeros("fit/lit/vertex_normals", 3 * topology.corners.len()),
+            all_faces: gpu.upload("fit/lit/all_faces", &[faces.len() as u32]),
+            shading: Shading::new(gpu, topology),
+            face_normals,
+            n_faces: faces.len(),
+        }
+    }
+
+    /// Records the normals of the scene's posed body.
+    pub fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene) {
+        self.face_normals.forward(recorder, &scene.posed.vertices, &self.on_faces);
+        self.shading.vertex_normals(recorder, &self.on_faces, &self.on_vertices);
+    }
+
+    /// Records `shaded = values · shade`, `[F, 3]`.
+    pub fn faces(&self, recorder: &mut Recorder<'_>, values: &Buffer<f32>, shaded: &Buffer<f32>, write: Write) {
+        let (count, n) = (&self.all_faces, self.n_faces);
+        self.shading.apply(recorder, &self.light, &self.on_faces, count, n, values, shaded, write);
+    }
+
+    /// Records the normals of the listed pixels of the scene's hard image, `[P, 3]`.
+    pub fn pixel_normals(
+        &self,
+        recorder: &mut Recorder<'_>,
+        scene: &Scene,
+        list: &Interpolate,
+        n: usize,
+        normals: &Buffer<f32>,
+    ) {
+        let (hard, faces) = (&scene.hard, &scene.corners.faces);
+        let (pix_to_face, bary) = (&hard.pix_to_face, &hard.bary_coords);
+        self.shading.pixel_normals(recorder, list, n, pix_to_face, bary, faces, &self.on_vertices, normals);
+    }
+
+    /// Records `shaded = values · shade` of the listed pixels, `[P, 3]`.
+    pub fn pixels(
+        &self,
+        recorder: &mut Recorder<'_>,
+        list: &Interpolate,
+        n: usize,
+        normals: &Buffer<f32>,
+        values: &Buffer<f32>,
+        shaded: &Buffer<f32>,
+    ) {
+        let n_max = list.n_max(n);
+        self.shading.apply(recorder, &self.light, normals, &list.count, n_max, values, shaded, Write::Over);
+    }
+
+    /// Unit normals `[F]` of the scene's posed body, world space. Waits.
+    pub fn read_face_normals(&self, gpu: &Gpu) -> Result<Vec<[f32; 3]>, GpuError> {
+        let normals = gpu.read(&self.on_faces)?;
+        let unit = |n: &[f32; 3]| glam::Vec3::from(*n).normalize_or_zero().to_array();
+        Ok(normals.as_chunks::<3>().0.iter().map(unit).collect())
+    }
+}
