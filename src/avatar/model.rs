@@ -177,7 +177,8 @@ impl AvatarModel {
         let mut body = Cursor::new(Vec::new());
         self.body.write(&mut body)?;
         let body = body.into_inner();
-        let meta = Meta { light: self.light, texture_config: self.texture_config, fps: self.fps, camera: self.camera.clone() };
+        let meta =
+            Meta { light: self.light, texture_config: self.texture_config, fps: self.fps, camera: self.camera.clone() };
         let meta = serde_json::to_vec(&meta).map_err(|e| ModelError::Invalid(e.to_string()))?;
         let mut npz = NpzWriter::new(out);
         npz.add("format_version", &[], &[FORMAT_VERSION])?;

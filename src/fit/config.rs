@@ -150,7 +150,7 @@ impl FitConfig {
         Self {
             seed,
             batch: 4,
-            frame_sampling: FrameSampling::Uniform,
+            frame_sampling: FrameSampling::ByError,
             silhouette_gradient: SilhouetteGradient::Edge,
             solve_face_colours: true,
             light: true,
@@ -201,6 +201,8 @@ impl FitConfig {
         let plain = Phase { preconditioner: Preconditioner::None, ..FINE };
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
+        config.frame_sampling = FrameSampling::Uniform;
+        config.solve_face_colours = false;
         config.geometry.weights.motion = 0.0;
         config.geometry.phases =
             vec![Phase { epochs: 10, offsets: false, ..plain.clone() }, Phase { epochs: 40, ..plain.clone() }];

@@ -3,8 +3,8 @@
 
 use std::path::Path;
 
-use rand::{RngExt, SeedableRng};
 use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
 use super::FitError;
@@ -169,7 +169,11 @@ mod tests {
     #[test]
     fn frames_with_large_errors_come_more_often() {
         let mut rng = epoch_rng(7, Stage::Geometry, 0, 0);
-        assert_eq!(sampled(&[None; 9], &mut rng), (0..9).collect::<Vec<_>>(), "every frame once while nothing is known");
+        assert_eq!(
+            sampled(&[None; 9], &mut rng),
+            (0..9).collect::<Vec<_>>(),
+            "every frame once while nothing is known"
+        );
         let mut errors = vec![Some(1.0); 10];
         errors[3] = Some(50.0);
         errors[7] = Some(0.0);

@@ -49,8 +49,7 @@ impl Clip {
     /// Runs stages 1 and 2.
     pub fn fit(&self, context: &Context<'_>, config: &FitConfig) -> Result<Fitted> {
         let (body, start) = (&self.body, &self.start);
-        let state =
-            FitState::new(body, start.betas.clone(), &start.poses, &start.transl, config.field, config.seed);
+        let state = FitState::new(body, start.betas.clone(), &start.poses, &start.transl, config.field, config.seed);
         let scratch = tempfile::tempdir_in(&context.work)?;
         let checkpoint = scratch.path().join("checkpoint.npz");
         let (started, camera) = (Instant::now(), &start.camera);

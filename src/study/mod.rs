@@ -9,8 +9,9 @@ pub mod cost;
 pub mod cube;
 mod document;
 pub mod fitting;
-pub mod fitting;
 mod objective;
+mod painter;
+pub mod pose;
 mod report;
 
 use anyhow::Result;

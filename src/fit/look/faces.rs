@@ -1,7 +1,6 @@
 //! One colour a face (paper §3.6, stage 1): too coarse to hide what the geometry has wrong.
 
 use super::{Lit, Look, solve_face_colours};
-use crate::fit::{FitError, Inputs};
 use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::groups::{Group, PoseGroups};
@@ -9,6 +8,7 @@ use crate::fit::losses::Losses;
 use crate::fit::scene::Scene;
 use crate::fit::schedule::Step;
 use crate::fit::state::FitState;
+use crate::fit::{FitError, Inputs};
 use crate::gpu::{Buffer, Recorder};
 use crate::ops::adam::AdamConfig;
 use crate::ops::edge_gradient::RgbGradient;

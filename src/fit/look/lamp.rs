@@ -38,14 +38,18 @@ const MIN_SHADE: f32 = 0.05;
 pub fn solve_light(observations: &[Observation], n_faces: usize, up: [f32; 3], forward: [f32; 3]) -> Light {
     let every = observations.len().div_ceil(MAX_SEARCHED).max(1) as u32;
     // Whole faces, so that each keeps its angles. The stride is odd to a body's symmetric numbering.
-    let searched: Vec<Observation> =
-        observations.iter().filter(|o| o.face.wrapping_mul(0x9e37_79b9) >> 8 & 0xffff < 0x1_0000 / every).copied().collect();
+    let searched: Vec<Observation> = observations
+        .iter()
+        .filter(|o| o.face.wrapping_mul(0x9e37_79b9) >> 8 & 0xffff < 0x1_0000 / every)
+        .copied()
+        .collect();
     let even = Problem::new(&searched, n_faces, Light::EVEN.direction).solve(0);
     let mut best: Option<(f64, Solved)> = None;
     for azimuth in 0..AZIMUTHS {
         for elevation in ELEVATIONS_DEG {
             let azimuth = std::f64::consts::TAU * azimuth as f64 / AZIMUTHS as f64;
-            let solved = Problem::new(&searched, n_faces, direction(azimuth, elevation, up, forward)).solve(SEARCH_ROUNDS);
+            let solved =
+                Problem::new(&searched, n_faces, direction(azimuth, elevation, up, forward)).solve(SEARCH_ROUNDS);
             let unusual = (elevation - USUAL_ELEVATION_DEG).abs() / 30.0;
             let cost = solved.error * (1.0 + 0.01 * unusual);
             if best.as_ref().is_none_or(|(least, _)| cost < *least) {
@@ -228,7 +232,8 @@ mod tests {
 
     #[test]
     fn a_lamp_is_found_from_a_turn() {
-        let truth = Light { ambient: [0.6; 3], strength: [0.7, 0.6, 0.5], direction: direction(0.7, 35.0, UP, FORWARD) };
+        let truth =
+            Light { ambient: [0.6; 3], strength: [0.7, 0.6, 0.5], direction: direction(0.7, 35.0, UP, FORWARD) };
         let found = solve_light(&turning(&truth, 360.0), 400, UP, FORWARD);
         assert!(angle_deg(found.direction, truth.direction) < 15.0, "{found:?}");
         for k in 0..3 {

@@ -41,7 +41,8 @@ fn observe(
     level: usize,
 ) -> Result<Vec<Observation>, GpuError> {
     let gpu = &scene.gpu;
-    let (sums, counts) = (gpu.zeros::<f32>("fit/colour_sums", n_faces * 3), gpu.zeros("fit/colour_counts", n_faces * 3));
+    let (sums, counts) =
+        (gpu.zeros::<f32>("fit/colour_sums", n_faces * 3), gpu.zeros("fit/colour_counts", n_faces * 3));
     let mut observations = Vec::new();
     for (frame, images) in scene.frames.iter().enumerate() {
         let level = &images.levels[level];

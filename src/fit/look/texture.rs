@@ -4,7 +4,6 @@
 
 use super::model::TextureModel;
 use super::{Lit, Look, solve_face_colours};
-use crate::fit::{FitError, Inputs};
 use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::frames::FrameLevel;
@@ -13,6 +12,7 @@ use crate::fit::losses::Losses;
 use crate::fit::scene::Scene;
 use crate::fit::schedule::Step;
 use crate::fit::state::FitState;
+use crate::fit::{FitError, Inputs};
 use crate::gpu::{Buffer, Gpu, Recorder};
 use crate::ops::adam::AdamConfig;
 use crate::ops::edge_gradient::RgbGradient;

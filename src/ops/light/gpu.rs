@@ -80,7 +80,12 @@ impl Shading {
     ///
     /// # Panics
     /// When a length is wrong.
-    pub fn vertex_normals(&self, recorder: &mut Recorder<'_>, face_normals: &Buffer<f32>, vertex_normals: &Buffer<f32>) {
+    pub fn vertex_normals(
+        &self,
+        recorder: &mut Recorder<'_>,
+        face_normals: &Buffer<f32>,
+        vertex_normals: &Buffer<f32>,
+    ) {
         assert_eq!(face_normals.len(), self.corners.len(), "{}: length", face_normals.label());
         let n = self.corner_starts.len() - 1;
         assert_eq!(vertex_normals.len(), 3 * n, "{}: length", vertex_normals.label());

@@ -3,8 +3,7 @@ use crate::ops::Topology;
 use crate::ops::interpolate::{Interpolate, Sampling};
 use crate::ops::testing::{assert_close, assert_gradient, gpu};
 
-const LIGHT: Light =
-    Light { ambient: [0.5, 0.6, 0.7], strength: [0.6, 0.5, 0.3], direction: [0.48, -0.6, -0.64] };
+const LIGHT: Light = Light { ambient: [0.5, 0.6, 0.7], strength: [0.6, 0.5, 0.3], direction: [0.48, -0.6, -0.64] };
 
 /// Two faces that share an edge.
 const FACES: [[u32; 3]; 2] = [[0, 1, 2], [2, 1, 3]];
@@ -48,9 +47,8 @@ fn the_product_is_its_own_backward_pass() {
 #[test]
 fn gpu_matches_the_twin() {
     let Some(gpu) = gpu("light::gpu_matches_the_twin") else { return };
-    let (normals, values): (Vec<f32>, Vec<f32>) = (0..300)
-        .map(|k| (((k * 37) % 19) as f32 - 9.0, (k % 11) as f32 * 0.1))
-        .unzip();
+    let (normals, values): (Vec<f32>, Vec<f32>) =
+        (0..300).map(|k| (((k * 37) % 19) as f32 - 9.0, (k % 11) as f32 * 0.1)).unzip();
     let shading = Shading::new(&gpu, &Topology::new(4, &FACES));
     let [n, v] = [&normals, &values].map(|x| gpu.upload("x", x));
     let (over, add) = (gpu.upload("over", &[9.0f32; 300]), gpu.upload("add", &[1.0f32; 300]));
