@@ -72,10 +72,10 @@ pub fn albedos(observations: &[Observation], n_faces: usize, light: &Light) -> (
     for o in observations {
         let shade = light.shade(o.normal);
         counts[o.face as usize] += o.weight;
-        for k in 0..3 {
+        for (k, (shade, colour)) in shade.into_iter().zip(o.colour).enumerate() {
             let at = 3 * o.face as usize + k;
-            top[at] += o.weight * o.colour[k] * shade[k];
-            bottom[at] += o.weight * shade[k] * shade[k];
+            top[at] += o.weight * colour * shade;
+            bottom[at] += o.weight * shade * shade;
         }
     }
     let colours = top.iter().zip(&bottom).map(|(t, b)| if *b > 0.0 { t / b } else { 0.0 }).collect();
