@@ -45,7 +45,7 @@ pub struct Rates {
     pub pose: f32,
     /// Metres.
     pub transl: f32,
-    /// Metres.
+    /// Metres, see [`DIRECT_OFFSET_RATE`].
     pub offsets: f32,
     pub face_colours: f32,
     pub texcoords: f32,
@@ -144,7 +144,7 @@ impl FitConfig {
         let geometry = vec![
             Phase { epochs: 12, offsets: false, ..COARSE },
             Phase { epochs: 30, ..COARSE },
-            Phase { epochs: 30, preconditioner: Preconditioner::Diffusion { pairs: 4 }, rate: 0.7, ..FINE },
+            Phase { epochs: 30, preconditioner: Preconditioner::LargeSteps { lambda: 4.0 }, rate: 0.7, ..FINE },
         ];
         let texture = vec![Phase { epochs: 15, pose_rate: 0.3, ..FINE }];
         Self {
@@ -158,7 +158,7 @@ impl FitConfig {
                 betas: 1e-2,
                 pose: 4e-3,
                 transl: 3e-3,
-                offsets: 1.5e-3,
+                offsets: 1e-2,
                 face_colours: 1e-2,
                 texcoords: 2e-4,
                 field: 1e-2,
@@ -201,6 +201,7 @@ impl FitConfig {
         let plain = Phase { preconditioner: Preconditioner::None, ..FINE };
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
+        config.rates.offsets = DIRECT_OFFSET_RATE;
         config.frame_sampling = FrameSampling::Uniform;
         config.solve_face_colours = false;
         config.geometry.weights.motion = 0.0;
@@ -212,6 +213,10 @@ impl FitConfig {
         config
     }
 }
+
+/// Metres: the rate of D where its own steps are taken. With large steps it is that of u, whose steps move D by less, since
+/// the solver spreads them.
+pub const DIRECT_OFFSET_RATE: f32 = 1.5e-3;
 
 const GEOMETRY: Weights = Weights {
     rgb: 1.0,
@@ -234,7 +239,7 @@ const COARSE: Phase = Phase {
     depth_softness_m: 0.02,
     rate: 1.0,
     offsets: true,
-    preconditioner: Preconditioner::Diffusion { pairs: 10 },
+    preconditioner: Preconditioner::LargeSteps { lambda: 10.0 },
     pose_rate: 1.0,
 };
 

@@ -6,7 +6,7 @@ use super::fitting::Clip;
 use super::{Context, Report, Study, Table, Verdict};
 use crate::eval::{Summary, SynthOptions};
 use crate::fit::FitConfig;
-use crate::fit::config::{FrameSampling, Preconditioner, SilhouetteGradient};
+use crate::fit::config::{DIRECT_OFFSET_RATE, FrameSampling, Phase, Preconditioner, SilhouetteGradient};
 
 pub const STUDY: Study = Study {
     name: "ablation",
@@ -41,16 +41,11 @@ struct Change {
     apply: fn(&mut FitConfig),
 }
 
-/// λ of the row with large steps (Nicolet et al. 2021 use 10 to 100), and the rate that it needs: a step of u moves D by
-/// less, as the solver spreads it.
-const LAMBDA: f32 = 20.0;
-const LARGE_RATE: f32 = 1e-2;
-
 const CHANGES: &[Change] = &[
     Change { name: "standard", apply: |_| {} },
     Change { name: "NMR's silhouette gradient", apply: |config| config.silhouette_gradient = SilhouetteGradient::Nmr },
-    Change { name: "plain steps of D", apply: |config| precondition(config, Preconditioner::None) },
-    Change { name: "large steps of D", apply: large_steps },
+    Change { name: "plain steps of D", apply: |config| step_directly(config, |_| Preconditioner::None) },
+    Change { name: "steps of D along the diffused gradient", apply: |config| step_directly(config, diffusion) },
     Change { name: "face colours by gradient alone", apply: |config| config.solve_face_colours = false },
     Change { name: "full resolution throughout", apply: full_resolution },
     Change { name: "every frame as often", apply: |config| config.frame_sampling = FrameSampling::Uniform },
@@ -59,13 +54,14 @@ const CHANGES: &[Change] = &[
     Change { name: "no prior on motion", apply: |config| no_motion(config) },
 ];
 
-fn precondition(config: &mut FitConfig, preconditioner: Preconditioner) {
-    config.geometry.phases.iter_mut().for_each(|phase| phase.preconditioner = preconditioner);
+fn step_directly(config: &mut FitConfig, preconditioner: fn(&Phase) -> Preconditioner) {
+    config.geometry.phases.iter_mut().for_each(|phase| phase.preconditioner = preconditioner(phase));
+    config.rates.offsets = DIRECT_OFFSET_RATE;
 }
 
-fn large_steps(config: &mut FitConfig) {
-    precondition(config, Preconditioner::LargeSteps { lambda: LAMBDA });
-    config.rates.offsets = LARGE_RATE;
+/// As smooth as served best: less at full resolution.
+fn diffusion(phase: &Phase) -> Preconditioner {
+    Preconditioner::Diffusion { pairs: if phase.level == 0 { 4 } else { 10 } }
 }
 
 fn full_resolution(config: &mut FitConfig) {
