@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use effigy::body::Body;
 use effigy::data_dir::body_path;
-use effigy::eval::{SynthOptions, synthesise};
+use effigy::eval::{Outfit, SynthOptions, synthesise};
 use effigy::gpu::{DeviceSelect, Gpu};
 
 #[derive(clap::Args)]
@@ -21,6 +21,12 @@ pub struct Args {
     /// Width and height in pixels.
     #[arg(long, default_value_t = SynthOptions::default().size_px)]
     size: u32,
+    /// any, tight, loose, breeches, hoodie or hair.
+    #[arg(long, default_value = "any", value_parser = outfit)]
+    outfit: Outfit,
+    /// Share of the light that comes from one side.
+    #[arg(long, default_value_t = SynthOptions::default().side_light)]
+    side_light: f32,
     #[arg(long, default_value_t = SynthOptions::default().fps)]
     fps: f64,
     /// Decides shape, clothes, colours and noise.
@@ -32,6 +38,10 @@ pub struct Args {
     /// Frames with a truth surface, novel views and novel poses, each at most.
     #[arg(long, default_value_t = SynthOptions::default().truths)]
     truths: usize,
+}
+
+fn outfit(name: &str) -> Result<Outfit, serde_json::Error> {
+    serde_json::from_value(name.into())
 }
 
 fn body(name: &str) -> Result<Body> {
@@ -47,6 +57,8 @@ pub fn run(args: Args) -> Result<()> {
         frames: args.frames,
         size_px: args.size,
         seed: args.seed,
+        outfit: args.outfit,
+        side_light: args.side_light,
         fps: args.fps,
         keypoint_noise_px: args.keypoint_noise,
         truths: args.truths,

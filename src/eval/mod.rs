@@ -14,4 +14,4 @@ pub use nearest::Surface;
 pub use report::{FrameIou, GeometryScore, ImageScore, JointScore, Report, Summary};
 pub use run::{EvalError, evaluate};
 pub use subject::{Novel, NovelPose, Subject, SubjectError};
-pub use synth::{SynthError, SynthOptions, synthesise};
+pub use synth::{Outfit, SynthError, SynthOptions, synthesise};

@@ -38,8 +38,9 @@ impl Context<'_> {
 
     /// The folder of a made clip of the study's body ([`synthesise`]); one that is there is taken.
     pub fn clip(&self, options: &SynthOptions) -> Result<PathBuf> {
-        let SynthOptions { frames, size_px, seed, truths, .. } = options;
-        let name = format!("clip-{}-{frames}x{size_px}-{truths}-{seed}", self.body);
+        let SynthOptions { frames, size_px, seed, truths, outfit, side_light, .. } = options;
+        let outfit = format!("{outfit:?}").to_lowercase();
+        let name = format!("clip-{}-{outfit}-{side_light}-{frames}x{size_px}-{truths}-{seed}", self.body);
         let folder = self.work.join(&name);
         if folder.is_dir() {
             return Ok(folder);

@@ -29,6 +29,25 @@ pub(super) struct Dress {
     pub rest: Vec<[f32; 3]>,
 }
 
+/// What a made person wears.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Outfit {
+    /// A cut drawn by the seed.
+    #[default]
+    Any,
+    /// Close to the body from neck to ankles.
+    Tight,
+    /// A wide shirt and wide trousers in deep folds.
+    Loose,
+    /// Wide folded legs that end above the knee.
+    Breeches,
+    /// A thick top with a hood.
+    Hoodie,
+    /// Voluminous hair over close clothes.
+    Hair,
+}
+
 /// The cut of the clothes.
 struct Cut {
     /// Lower end of the sleeve between shoulder (0) and wrist (1)
@@ -41,9 +60,34 @@ struct Cut {
     bottom_cm: f32,
     hair_cm: f32,
     hood: bool,
+    /// How deep the folds of top and bottom reach into the cloth, part of its thickness.
+    top_folds: f32,
+    bottom_folds: f32,
 }
 
 impl Cut {
+    fn of(outfit: Outfit, rng: &mut Pcg64) -> Self {
+        let any = Self::random(rng);
+        match outfit {
+            Outfit::Any => any,
+            Outfit::Tight => TIGHT,
+            Outfit::Loose => Self {
+                sleeve: 0.6,
+                flare: 0.03,
+                top_cm: 3.5,
+                bottom_cm: 3.0,
+                top_folds: 0.9,
+                bottom_folds: 0.9,
+                ..TIGHT
+            },
+            Outfit::Breeches => {
+                Self { sleeve: 0.3, hem: 0.42, flare: 0.09, bottom_cm: 3.0, bottom_folds: 0.9, ..TIGHT }
+            }
+            Outfit::Hoodie => Self { hood: true, top_cm: 3.0, top_folds: 0.6, ..TIGHT },
+            Outfit::Hair => Self { sleeve: 0.4, hair_cm: 5.0, ..TIGHT },
+        }
+    }
+
     fn random(rng: &mut Pcg64) -> Self {
         let mut within = |low: f32, high: f32| low + (high - low) * rng.random::<f32>();
         Self {
@@ -54,18 +98,36 @@ impl Cut {
             bottom_cm: within(0.8, 1.8),
             hair_cm: within(1.0, 2.5),
             hood: within(0.0, 1.0) < 0.5,
+            top_folds: 0.0,
+            bottom_folds: 0.0,
         }
     }
 }
+
+const TIGHT: Cut = Cut {
+    sleeve: 0.92,
+    hem: 0.95,
+    flare: 0.0,
+    top_cm: 0.5,
+    bottom_cm: 0.5,
+    hair_cm: 1.0,
+    hood: false,
+    top_folds: 0.0,
+    bottom_folds: 0.0,
+};
+
+/// Folds around the trunk and around a leg.
+const TRUNK_FOLDS: f32 = 7.0;
+const LEG_FOLDS: f32 = 4.0;
 
 fn step(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Dresses `body` of shape `betas` at random.
-pub(super) fn dress(body: &Body, betas: &[f32], rng: &mut Pcg64) -> Dress {
-    let cut = Cut::random(rng);
+/// Dresses `body` of shape `betas`.
+pub(super) fn dress(body: &Body, betas: &[f32], outfit: Outfit, rng: &mut Pcg64) -> Dress {
+    let cut = Cut::of(outfit, rng);
     let shaped = body.shaped_vertices(betas);
     let joints: Vec<Vec3> = body.shaped_joints(betas).into_iter().map(Vec3::from).collect();
     let normals = vertex_normals(&shaped, &body.faces);
@@ -74,6 +136,9 @@ pub(super) fn dress(body: &Body, betas: &[f32], rng: &mut Pcg64) -> Dress {
     let mut offsets: Vec<Vec3> =
         (0..shaped.len()).map(|v| place(v).offset(&cut, &claims[v], Vec3::from(normals[v]))).collect();
     smooth(&body.faces, &mut offsets, 3);
+    for (v, offset) in offsets.iter_mut().enumerate() {
+        *offset -= Vec3::from(normals[v]) * place(v).folds(&cut, &claims[v]);
+    }
     let rest = shaped.iter().zip(&offsets).map(|(&v, d)| (Vec3::from(v) + d).into()).collect();
     Dress { offsets: offsets.into_iter().map(Into::into).collect(), claims, rest }
 }
@@ -150,6 +215,25 @@ impl<'a> Place<'a> {
             offset += Vec3::new(0.0, 0.2, -1.0) * 0.05 * near * (1.0 - self.head) * (1.0 - 0.5 * self.neck);
         }
         offset
+    }
+}
+
+impl Place<'_> {
+    /// How deep the folds are here, metres: valleys down the trunk and the legs between ridges, so that no silhouette shows
+    /// their ground.
+    fn folds(&self, cut: &Cut, claims: &[f32; 5]) -> f32 {
+        let [_, _, top, bottom, _] = *claims;
+        let valley = |axis: Vec3, count: f32| {
+            let around = (self.point.x - axis.x).atan2(self.point.z - axis.z);
+            let wave = 0.5 + 0.5 * (count * around + 0.6 * (7.0 * self.point.y).sin()).cos();
+            wave * wave
+        };
+        let chest = self.joints[9].y;
+        let trunk = top * (1.0 - self.arm - self.hand).max(0.0) * step(chest + 0.12, chest - 0.05, self.point.y);
+        let leg = bottom * self.leg * step(0.05, 0.25, self.along_leg());
+        let hip = self.joints[if self.point.x > 0.0 { 1 } else { 2 }];
+        0.01 * (trunk * cut.top_folds * cut.top_cm * valley(self.joints[0], TRUNK_FOLDS)
+            + leg * cut.bottom_folds * cut.bottom_cm * valley(hip, LEG_FOLDS))
     }
 }
 

@@ -15,6 +15,7 @@ use image::RgbImage;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
+pub use self::clothes::Outfit;
 use self::clothes::{Dress, dress};
 use self::keypoints::{detect, normal};
 use self::motion::{novel_poses, turn};
@@ -34,6 +35,10 @@ pub struct SynthOptions {
     /// Width and height, even
     pub size_px: u32,
     pub seed: u64,
+    /// A named outfit is of checked cloth, so that there is something to see everywhere.
+    pub outfit: Outfit,
+    /// Share of the light that comes from one side; zero lights everything evenly.
+    pub side_light: f32,
     pub fps: f64,
     /// σ of the keypoints at 540 px; scaled with the size
     pub keypoint_noise_px: f64,
@@ -43,7 +48,16 @@ pub struct SynthOptions {
 
 impl Default for SynthOptions {
     fn default() -> Self {
-        Self { frames: 60, size_px: 360, seed: 1, fps: 30.0, keypoint_noise_px: 2.0, truths: 8 }
+        Self {
+            frames: 60,
+            size_px: 360,
+            seed: 1,
+            outfit: Outfit::Any,
+            side_light: 0.28,
+            fps: 30.0,
+            keypoint_noise_px: 2.0,
+            truths: 8,
+        }
     }
 }
 
@@ -125,8 +139,8 @@ pub fn synthesise(
     check(options)?;
     let mut rng = Pcg64::seed_from_u64(options.seed);
     let betas: Vec<f32> = (0..body.n_betas).map(|_| (0.7 * normal(&mut rng)).clamp(-1.5, 1.5) as f32).collect();
-    let dress = dress(body, &betas, &mut rng);
-    let paint = Paint::random(body, &betas, &dress, &mut rng);
+    let dress = dress(body, &betas, options.outfit, &mut rng);
+    let paint = Paint::random(body, &betas, &dress, options, &mut rng);
     let (camera, centre) = camera(options.size_px, &dress.rest, body.shaped_joints(&betas)[0]);
     let tracer = Tracer::new(gpu, &body.faces, body.n_vertices());
     let scene = Scene { body, betas: &betas, dress: &dress, paint, tracer, camera, centre };

@@ -4,12 +4,10 @@ use glam::{Vec2, Vec3};
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-use super::clothes::{Dress, REGIONS, Region};
+use super::SynthOptions;
+use super::clothes::{Dress, Outfit, REGIONS, Region};
 use crate::avatar::SurfacePoint;
 use crate::body::{Body, KeypointSource};
-
-/// Share of the light that comes from everywhere; the rest from one side.
-const AMBIENT: f32 = 0.72;
 
 /// The look of one made person.
 pub(super) struct Paint<'a> {
@@ -17,6 +15,7 @@ pub(super) struct Paint<'a> {
     dress: &'a Dress,
     skin: Vec3,
     hair: Vec3,
+    iris: Vec3,
     top: [Vec3; 2],
     bottom: Vec3,
     shoes: Vec3,
@@ -24,8 +23,13 @@ pub(super) struct Paint<'a> {
     chest: Vec3,
     eyes: Vec<Vec3>,
     nose: Option<Vec3>,
+    hips: [Vec3; 2],
+    /// Whether the cloth is checked
+    checked: bool,
     /// Towards the light, world space
     light: Vec3,
+    /// Share of the light that comes from there; the rest comes from everywhere.
+    side_light: f32,
 }
 
 fn mix(a: Vec3, b: Vec3, t: f32) -> Vec3 {
@@ -49,7 +53,7 @@ fn noise(p: Vec3, frequency: f32) -> f32 {
 }
 
 impl<'a> Paint<'a> {
-    pub fn random(body: &'a Body, betas: &[f32], dress: &'a Dress, rng: &mut Pcg64) -> Self {
+    pub fn random(body: &'a Body, betas: &[f32], dress: &'a Dress, options: &SynthOptions, rng: &mut Pcg64) -> Self {
         let joints: Vec<Vec3> = body.shaped_joints(betas).into_iter().map(Vec3::from).collect();
         let mut colour =
             |low: f32, high: f32| Vec3::from(std::array::from_fn(|_| low + (high - low) * rng.random::<f32>()));
@@ -68,6 +72,7 @@ impl<'a> Paint<'a> {
             dress,
             skin,
             hair,
+            iris: mix(Vec3::new(0.2, 0.35, 0.6), Vec3::new(0.35, 0.2, 0.08), rng.random()),
             top: [top, other],
             bottom,
             shoes,
@@ -75,7 +80,10 @@ impl<'a> Paint<'a> {
             chest: joints[9],
             eyes: [landmark(1), landmark(2)].into_iter().flatten().collect(),
             nose: landmark(0),
+            hips: [joints[1], joints[2]],
+            checked: options.outfit != Outfit::Any,
             light: Vec3::new(-0.5, -0.8, -0.6).normalize(),
+            side_light: options.side_light,
         }
     }
 
@@ -83,7 +91,7 @@ impl<'a> Paint<'a> {
     pub fn colour(&self, point: &SurfacePoint, normals: &[[f32; 3]]) -> [f32; 3] {
         let face = self.body.faces[point.face as usize];
         let normal: Vec3 = (0..3).map(|k| Vec3::from(normals[face[k] as usize]) * point.bary[k]).sum();
-        let shade = AMBIENT + (1.0 - AMBIENT) * normal.normalize_or_zero().dot(self.light).max(0.0) * 1.6;
+        let shade = 1.0 - self.side_light + self.side_light * normal.normalize_or_zero().dot(self.light).max(0.0) * 1.6;
         (self.albedo(point) * shade).clamp(Vec3::ZERO, Vec3::ONE).into()
     }
 
@@ -92,46 +100,99 @@ impl<'a> Paint<'a> {
         let p: Vec3 = (0..3).map(|k| Vec3::from(self.dress.rest[face[k]]) * point.bary[k]).sum();
         let claim = |r: usize| (0..3).map(|k| point.bary[k] * self.dress.claims[face[k]][r]).sum::<f32>();
         let best = (0..REGIONS.len()).max_by(|&a, &b| claim(a).total_cmp(&claim(b)));
-        let grain = 1.0 + 0.04 * noise(p, 60.0) + 0.04 * noise(p, 15.0);
+        let grain = 1.0 + 0.08 * noise(p, 60.0) + 0.06 * noise(p, 15.0);
         grain
             * match REGIONS[best.unwrap_or(0)] {
                 Region::Skin => self.face(p),
                 Region::Hair => self.hair * (1.0 + 0.3 * noise(p * Vec3::new(3.0, 0.4, 3.0), 60.0)),
                 Region::Top => self.shirt(p),
-                Region::Bottom => self.bottom * if p.x.abs() < 0.004 { 0.6 } else { 1.0 },
+                Region::Bottom => self.trousers(p),
                 Region::Shoes => self.shoes,
             }
     }
 
     fn face(&self, p: Vec3) -> Vec3 {
         for eye in &self.eyes {
-            let d = p.truncate().distance(eye.truncate()) * if p.z > eye.z - 0.04 { 1.0 } else { 100.0 };
-            if d < 0.010 {
-                return if d < 0.005 { Vec3::splat(0.08) } else { Vec3::splat(0.92) };
+            if p.z < eye.z - 0.04 {
+                continue;
+            }
+            let d = p.truncate() - eye.truncate();
+            let (brow, lash) = (Vec2::new(d.x, d.y - 0.017 + 6.0 * d.x * d.x), Vec2::new(d.x, 1.6 * d.y));
+            if brow.x.abs() < 0.017 && brow.y.abs() < 0.0028 {
+                return 0.6 * self.hair;
+            }
+            match lash.length() {
+                r if r < 0.004 => return Vec3::splat(0.05),
+                r if r < 0.008 && d.x.abs() < 0.0075 => return self.iris,
+                r if r < 0.014 => return Vec3::splat(0.92),
+                r if r < 0.016 => return 0.45 * self.skin,
+                _ => {}
             }
         }
-        if let Some(nose) = self.nose {
-            let mouth = (p - nose - Vec3::new(0.0, -0.038, 0.0)) / Vec3::new(0.026, 0.008, 0.05);
-            if mouth.length_squared() < 1.0 {
-                return mix(self.skin, Vec3::new(0.7, 0.2, 0.2), 0.7);
-            }
+        let Some(nose) = self.nose else { return self.skin };
+        let d = p - nose;
+        if d.z < -0.05 {
+            return self.skin;
         }
-        self.skin
+        let mouth = Vec2::new(d.x, d.y + 0.038) / Vec2::new(0.026, 0.009);
+        if mouth.length_squared() < 1.0 {
+            let parted = (mouth.y + 0.25 * mouth.x * mouth.x).abs() < 0.16;
+            return if parted { Vec3::new(0.25, 0.08, 0.08) } else { mix(self.skin, Vec3::new(0.7, 0.2, 0.2), 0.7) };
+        }
+        if Vec2::new(d.x.abs() - 0.007, d.y + 0.012).length() < 0.003 {
+            return 0.4 * self.skin;
+        }
+        let cheek = Vec2::new(d.x.abs() - 0.042, d.y + 0.005).length();
+        mix(self.skin, Vec3::new(0.85, 0.42, 0.36), 0.35 * (1.0 - cheek / 0.025).max(0.0))
     }
 
-    /// Stripes, and on the chest a disc with a triangle.
+    /// Plain with a seam, or checked.
+    fn trousers(&self, p: Vec3) -> Vec3 {
+        if p.x.abs() < 0.004 {
+            return 0.6 * self.bottom;
+        }
+        let light = self.checked && self.check(p, self.hips[(p.x < 0.0) as usize], 0.09);
+        if light { mix(self.bottom, Vec3::ONE, 0.35) } else { self.bottom }
+    }
+
+    /// Checks: stripes over the height, crossed with stripes round an upright axis at about `radius` metres.
+    fn check(&self, p: Vec3, axis: Vec3, radius: f32) -> bool {
+        let stripe = |along: f32| (along * self.stripes_a_metre).rem_euclid(1.0) < 0.4;
+        stripe(p.y) != stripe(radius * (p.x - axis.x).atan2(p.z - axis.z))
+    }
+
+    /// Stripes or checks, and on the chest a disc with a triangle over two letters.
     fn shirt(&self, p: Vec3) -> Vec3 {
-        let logo = (p - self.chest).truncate() / 0.075;
+        let logo = (p - self.chest).truncate() / 0.095;
         if p.z > self.chest.z && logo.length_squared() < 1.0 {
-            let corner = |k: f32| Vec2::from_angle(std::f32::consts::TAU * (k / 3.0 + 0.25)) * 0.7;
+            let corner =
+                |k: f32| Vec2::new(0.0, 0.38) + Vec2::from_angle(std::f32::consts::TAU * (k / 3.0 + 0.25)) * 0.45;
             let inside = (0..3).all(|k| {
                 let (a, b) = (corner(k as f32), corner(k as f32 + 1.0));
                 (b - a).perp_dot(logo - a) > 0.0
             });
-            return if inside { Vec3::new(0.95, 0.8, 0.1) } else { Vec3::new(0.08, 0.1, 0.3) };
+            let rim = logo.length() > 0.9;
+            return if inside || rim {
+                Vec3::new(0.95, 0.8, 0.1)
+            } else if letters(logo) {
+                Vec3::splat(0.95)
+            } else {
+                Vec3::new(0.08, 0.1, 0.3)
+            };
+        }
+        if self.checked && p.x.abs() <= 0.2 {
+            return self.top[self.check(p, Vec3::new(0.0, 0.0, self.chest.z), 0.15) as usize];
         }
         // On the trunk the stripes run round it, on the sleeves round the arm.
         let along = if p.x.abs() > 0.2 { p.x.abs() } else { p.y };
         self.top[((along * self.stripes_a_metre).rem_euclid(1.0) < 0.35) as usize]
     }
+}
+
+/// "EF" in the lower half of the disc, five cells high; seen from the front, x runs to the wearer's left.
+fn letters(logo: Vec2) -> bool {
+    const ROWS: [&[u8]; 5] = [b"EEE.FFF", b"E...F..", b"EE..FF.", b"E...F..", b"EEE.F.."];
+    let (column, row) = ((logo.x + 0.56) / 0.16, (0.1 - logo.y) / 0.14);
+    let inside = (0.0..7.0).contains(&column) && (0.0..5.0).contains(&row);
+    inside && ROWS[row as usize][column as usize] != b'.'
 }
