@@ -11,8 +11,12 @@ mod document;
 pub mod fitting;
 mod objective;
 mod painter;
+mod person;
 pub mod pose;
 mod report;
+pub mod silhouettes;
+pub mod stages;
+pub mod texture;
 
 use anyhow::Result;
 
@@ -36,7 +40,8 @@ pub struct Study {
 }
 
 /// All studies in the document's order.
-pub const STUDIES: &[Study] = &[cube::STUDY, pose::STUDY, ablation::STUDY, cost::STUDY];
+pub const STUDIES: &[Study] =
+    &[cube::STUDY, pose::STUDY, stages::STUDY, silhouettes::STUDY, texture::STUDY, ablation::STUDY, cost::STUDY];
 
 /// The study of this name.
 pub fn study(name: &str) -> Option<&'static Study> {
