@@ -65,8 +65,17 @@ async fn serve(in_force: InForce) -> Result<()> {
     let app = App::new(queue.clone(), store, renderer, inspector, env.clone(), limits)
         .with_access(access)
         .with_webhooks(queue.clone(), config.webhooks_to_private);
-    let sender = Sender::new(system_lookup(), config.webhooks_to_private)?;
-    let courier = tokio::spawn(Courier { webhooks: queue.clone(), sender, env }.run());
+    let courier = match Sender::new(system_lookup(), config.webhooks_to_private) {
+        Ok(sender) => Some(tokio::spawn(Courier { webhooks: queue.clone(), sender, env }.run())),
+        // All else works without, and messages wait in the database.
+        Err(error) => {
+            tracing::error!(
+                error = format!("{error:#}"),
+                "webhooks wait for a start with CA certificates (ca-certificates)"
+            );
+            None
+        }
+    };
     let end = async move {
         asked_to_end().await;
         tracing::info!("the server ends");
@@ -79,7 +88,9 @@ async fn serve(in_force: InForce) -> Result<()> {
         supervision.await?;
     }
     reaper.abort();
-    courier.abort();
+    if let Some(courier) = courier {
+        courier.abort();
+    }
     queue.close().await;
     Ok(())
 }

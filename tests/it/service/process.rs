@@ -18,17 +18,17 @@ impl Serve {
     }
 
     fn start_with_log(data: &Path, arguments: &[&str], log: Stdio) -> Serve {
+        let mut effigy = Command::new(env!("CARGO_BIN_EXE_effigy"));
+        effigy.args(["serve", "--data-dir"]).arg(data).args(arguments).stderr(log);
+        if !arguments.contains(&"--listen") {
+            effigy.args(["--listen", "127.0.0.1:0"]);
+        }
+        Self::spawn(effigy)
+    }
+
+    fn spawn(mut effigy: Command) -> Serve {
         effigy::webhooks::install_cryptography();
-        let mut child = Command::new(env!("CARGO_BIN_EXE_effigy"))
-            .args(["serve", "--data-dir"])
-            .arg(data)
-            // An argument may come again: the last one counts.
-            .args(if arguments.contains(&"--listen") { &[][..] } else { &["--listen", "127.0.0.1:0"] })
-            .args(arguments)
-            .stdout(Stdio::piped())
-            .stderr(log)
-            .spawn()
-            .unwrap();
+        let mut child = effigy.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let url = line.trim().strip_prefix("listening on ").unwrap_or_else(|| panic!("{line:?}")).to_string();
@@ -132,6 +132,16 @@ fn a_log_for_programs_ties_a_job_to_the_request_that_brought_it() {
     let accepted = lines.iter().find(|line| line["message"] == "accepted").unwrap_or_else(|| panic!("{lines:?}"));
     assert_eq!((&accepted["job"], &accepted["level"]), (&job["id"], &json!("INFO")));
     assert_eq!(accepted["spans"][0]["id"], "the-request", "{accepted}");
+}
+
+#[test]
+fn a_machine_without_ca_certificates_serves_all_but_webhooks() {
+    let data = tempfile::tempdir().unwrap();
+    let mut effigy = Command::new(env!("CARGO_BIN_EXE_effigy"));
+    effigy.args(["serve", "--workers", "0", "--listen", "127.0.0.1:0", "--data-dir"]).arg(data.path());
+    effigy.env("SSL_CERT_FILE", "/dev/null").env("SSL_CERT_DIR", data.path());
+    let serve = Serve::spawn(effigy);
+    assert_eq!(reqwest::blocking::get(format!("{}/healthz", serve.url)).unwrap().status(), 200);
 }
 
 #[test]
