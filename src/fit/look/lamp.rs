@@ -116,19 +116,16 @@ impl<'a> Problem<'a> {
         Self { observations, n_faces, direction, lamp }
     }
 
-    /// Alternates `rounds` times between the albedos and the light; no rounds are even light.
+    /// Alternates `rounds` times between the albedos and the light; no rounds are even light. The light is white: told a
+    /// channel, it takes on the colours of what happens to face the lamp, and the dark side of grey trousers turns brown.
     fn solve(&self, rounds: usize) -> Solved {
-        let start = if rounds == 0 { (1.0, 0.0) } else { (0.7, 0.5) };
-        let (mut light, mut error) = (Light { direction: self.direction, ..Light::EVEN }, 0.0);
-        for k in 0..3 {
-            let mut pair = self.normalised(start);
-            for _ in 0..rounds {
-                let albedo = self.albedo(k, pair);
-                pair = self.normalised(self.light_of(k, &albedo, pair));
-            }
-            error += self.error(k, &self.albedo(k, pair), pair) / 3.0;
-            (light.ambient[k], light.strength[k]) = pair;
+        let mut pair = self.normalised(if rounds == 0 { (1.0, 0.0) } else { (0.7, 0.5) });
+        for _ in 0..rounds {
+            let albedo = self.albedo(pair);
+            pair = self.normalised(self.light_of(&albedo, pair));
         }
+        let error = self.error(&self.albedo(pair), pair);
+        let light = Light { ambient: [pair.0; 3], strength: [pair.1; 3], direction: self.direction };
         Solved { light, error }
     }
 
@@ -136,30 +133,32 @@ impl<'a> Problem<'a> {
         (ambient + strength * self.lamp[i]).max(MIN_SHADE)
     }
 
-    fn albedo(&self, k: usize, pair: (f32, f32)) -> Vec<f32> {
-        let mut sums = vec![(0.0f32, 0.0f32); self.n_faces];
+    /// `[F]`
+    fn albedo(&self, pair: (f32, f32)) -> Vec<[f32; 3]> {
+        let mut sums = vec![([0.0f32; 3], 0.0f32); self.n_faces];
         for (i, o) in self.observations.iter().enumerate() {
             let shade = self.shade(i, pair);
-            let sum = &mut sums[o.face as usize];
-            sum.0 += o.weight * o.colour[k] * shade;
-            sum.1 += o.weight * shade * shade;
+            let (top, bottom) = &mut sums[o.face as usize];
+            (0..3).for_each(|k| top[k] += o.weight * o.colour[k] * shade);
+            *bottom += o.weight * shade * shade;
         }
-        sums.into_iter().map(|(top, bottom)| if bottom > 0.0 { top / bottom } else { 0.0 }).collect()
+        sums.into_iter().map(|(top, bottom)| top.map(|t| if bottom > 0.0 { t / bottom } else { 0.0 })).collect()
     }
 
     /// Reweighted least squares for ambient light and strength, neither below zero.
-    fn light_of(&self, k: usize, albedo: &[f32], pair: (f32, f32)) -> (f32, f32) {
+    fn light_of(&self, albedo: &[[f32; 3]], pair: (f32, f32)) -> (f32, f32) {
         let (mut aa, mut ab, mut bb, mut ay, mut by) = (0.0f64, 0.0f64, 0.0f64, 0.0f64, 0.0f64);
         for (i, o) in self.observations.iter().enumerate() {
-            let albedo = albedo[o.face as usize];
-            let residual = albedo * self.shade(i, pair) - o.colour[k];
-            let weight = f64::from(o.weight / (residual.abs() + ROBUST));
-            let (a, b, y) = (f64::from(albedo), f64::from(albedo * self.lamp[i]), f64::from(o.colour[k]));
-            aa += weight * a * a;
-            ab += weight * a * b;
-            bb += weight * b * b;
-            ay += weight * a * y;
-            by += weight * b * y;
+            let shade = self.shade(i, pair);
+            for (albedo, colour) in albedo[o.face as usize].into_iter().zip(o.colour) {
+                let weight = f64::from(o.weight / ((albedo * shade - colour).abs() + ROBUST));
+                let (a, b, y) = (f64::from(albedo), f64::from(albedo * self.lamp[i]), f64::from(colour));
+                aa += weight * a * a;
+                ab += weight * a * b;
+                bb += weight * b * b;
+                ay += weight * a * y;
+                by += weight * b * y;
+            }
         }
         let determinant = aa * bb - ab * ab;
         let (ambient, strength) = if determinant > 1e-9 * aa * bb {
@@ -185,12 +184,14 @@ impl<'a> Problem<'a> {
         (pair.0 / mean, pair.1 / mean)
     }
 
-    fn error(&self, k: usize, albedo: &[f32], pair: (f32, f32)) -> f64 {
+    fn error(&self, albedo: &[[f32; 3]], pair: (f32, f32)) -> f64 {
         let (mut sum, mut weights) = (0.0f64, 0.0f64);
         for (i, o) in self.observations.iter().enumerate() {
-            let residual = albedo[o.face as usize] * self.shade(i, pair) - o.colour[k];
-            sum += f64::from(o.weight * residual.abs());
-            weights += f64::from(o.weight);
+            let shade = self.shade(i, pair);
+            for (albedo, colour) in albedo[o.face as usize].into_iter().zip(o.colour) {
+                sum += f64::from(o.weight * (albedo * shade - colour).abs());
+            }
+            weights += 3.0 * f64::from(o.weight);
         }
         sum / weights.max(1e-12)
     }
