@@ -1,4 +1,4 @@
-// One pixel an invocation: grad_screen [H, W, 2], how the loss changes when the surface that the pixel shows moves in
+// One listed pixel an invocation: grad_screen [H, W, 2], how the loss changes when the surface that the pixel shows moves in
 // the image, its borders to the four neighbours with it.
 #import shared/linear_index
 #import shared/silhouette
@@ -11,6 +11,8 @@
 @group(0) @binding(5) var<storage, read> image: array<f32>;
 @group(0) @binding(6) var<storage, read> grad_image: array<f32>;
 @group(0) @binding(7) var<storage, read_write> grad_screen: array<vec2<f32>>;
+@group(0) @binding(8) var<storage, read> count: array<u32>;
+@group(0) @binding(9) var<storage, read> borders: array<u32>;
 
 // The gain of a unit step of p's border onto q: the mean gradient there times the change from I_q to I_p.
 fn gain(p: u32, q: u32) -> f32 {
@@ -19,10 +21,11 @@ fn gain(p: u32, q: u32) -> f32 {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let p = linear_index(id, groups, 64u);
-    if p >= params.width * params.height {
+    let k = linear_index(id, groups, 64u);
+    if k >= count[0] {
         return;
     }
+    let p = borders[k];
     let x = p % params.width;
     let y = p / params.width;
     var g = vec2<f32>(0.0);

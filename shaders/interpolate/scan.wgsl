@@ -11,6 +11,7 @@ struct Params {
 @group(0) @binding(1) var<storage, read> masks: array<u32>;
 @group(0) @binding(2) var<storage, read_write> firsts: array<u32>;
 @group(0) @binding(3) var<storage, read_write> count: array<u32>;
+@group(0) @binding(4) var<storage, read_write> workgroups: array<u32>; // of 64, for the listed pixels
 
 var<workgroup> sums: array<u32, LANES>;
 
@@ -30,7 +31,13 @@ fn main(@builtin(local_invocation_index) lane: u32) {
         first += sums[k];
     }
     if lane == LANES - 1u {
-        count[0] = min(first + sum, params.capacity);
+        let listed = min(first + sum, params.capacity);
+        count[0] = listed;
+        // See `linear_groups` of the host.
+        let n = (listed + 63u) / 64u;
+        workgroups[0] = min(n, 32768u);
+        workgroups[1] = (n + 32767u) / 32768u;
+        workgroups[2] = 1u;
     }
     for (var block = begin; block < end; block++) {
         firsts[block] = first;

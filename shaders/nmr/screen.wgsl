@@ -1,4 +1,4 @@
-// One pixel an invocation: grad_screen [H, W, 2], the pull on the surface that the pixel shows, from the sweeps over
+// One listed pixel an invocation: grad_screen [H, W, 2], the pull on the surface that the pixel shows, from the sweeps over
 // its row and its column that start at its borders; see src/ops/nmr/mod.rs.
 #import shared/linear_index
 #import shared/silhouette
@@ -11,6 +11,8 @@
 @group(0) @binding(5) var<storage, read> image: array<f32>;
 @group(0) @binding(6) var<storage, read> grad_image: array<f32>;
 @group(0) @binding(7) var<storage, read_write> grad_screen: array<vec2<f32>>;
+@group(0) @binding(8) var<storage, read> count: array<u32>;
+@group(0) @binding(9) var<storage, read> borders: array<u32>;
 
 // The derivative of the loss for p's border with its neighbour in direction `step` moving that way; `ahead` and `behind`
 // pixels lie before the image's borders.
@@ -42,10 +44,11 @@ fn sweep(p: u32, step: i32, ahead: u32, behind: u32) -> f32 {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let p = linear_index(id, groups, 64u);
-    if p >= params.width * params.height {
+    let k = linear_index(id, groups, 64u);
+    if k >= count[0] {
         return;
     }
+    let p = borders[k];
     let x = p % params.width;
     let y = p / params.width;
     let row = i32(params.width);

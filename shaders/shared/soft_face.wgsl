@@ -4,7 +4,7 @@
 // Side of a tile in pixels.
 #const TILE: u32 = 4u
 const TILE_PIXELS: u32 = TILE * TILE;
-// A pixel whose T is below exp(-NEGLIGIBLE) = 6e-6 is opaque, a weight below it is none.
+// A share below exp(-NEGLIGIBLE) = 6e-6 is none.
 const NEGLIGIBLE: f32 = 12.0;
 
 struct SoftParams {

@@ -1,4 +1,4 @@
-// Backward pass 2, one face a workgroup: the gradient of its corners [F, 3, 3] and of its colour, over its box. The
+// Backward pass 2, one drawn face a workgroup: the gradient of its corners [F, 3, 3] and of its colour, over its box. The
 // invocations share the pixels of the box; their sums are added in their order.
 //
 // With the score s = ln D + (z^ - 1)/gamma, weight w = exp(s)/W, D = sigmoid(x), x = +-d^2/sigma:
@@ -20,19 +20,12 @@ const SUMS: u32 = 12u;
 @group(0) @binding(3) var<storage, read> face_colours: array<f32>;
 @group(0) @binding(4) var<storage, read> pixels: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> pixels_rest: array<vec2<f32>>;
-@group(0) @binding(6) var<storage, read> gates: array<f32>;
+@group(0) @binding(6) var<storage, read> drawn: array<u32>;
 @group(0) @binding(7) var<storage, read_write> grad_corners: array<f32>;
 @group(0) @binding(8) var<storage, read_write> grad_face_colours: array<f32>;
 
 var<workgroup> sums: array<f32, SUMS * LANES>;
-
-fn sum_of(which: u32) -> f32 {
-    var sum = 0.0;
-    for (var j = 0u; j < LANES; j++) {
-        sum += sums[which * LANES + j];
-    }
-    return sum;
-}
+var<workgroup> totals: array<f32, SUMS>;
 
 // From the normalised plane and 1/z back to camera space, for one corner.
 fn write_corner(i: u32, p: vec2<f32>, inv_z: f32, gp: vec2<f32>, g_inv_z: f32) {
@@ -51,25 +44,18 @@ fn main(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
 ) {
-    let f = group.x + group.y * groups.x;
-    if f >= params.n_faces {
+    let place = group.x + group.y * groups.x;
+    if place >= drawn[0] {
         return;
     }
+    let f = drawn[1u + place];
     let first = vec2<i32>(boxes[f] & vec2<u32>(0xffffu));
     let last = vec2<i32>(boxes[f] >> vec2<u32>(16u));
-    if first.x > last.x {
-        // Not drawn.
-        for (var k = lane; k < 9u; k += LANES) {
-            grad_corners[9u * f + k] = 0.0;
-        }
-        return;
-    }
     let face = unpack_face(records[4u * f], records[4u * f + 1u], records[4u * f + 2u], records[4u * f + 3u]);
     let own = vec3<f32>(face_colours[3u * f], face_colours[3u * f + 1u], face_colours[3u * f + 2u]);
     let origin = pixel_centre(first.x, first.y);
     let edges = edges_from(face, origin);
     let scale = inverseSqrt(params.sigma);
-    let nearest = nearness(face.z_min);
     let depth_scale = -1.0 / ((params.far - params.near) * params.gamma);
     let width = last.x - first.x + 1;
     let inv_width = 1.0 / f32(width);
@@ -80,24 +66,13 @@ fn main(
     var g_inv_z = vec3<f32>(0.0);
     var g_colour = vec3<f32>(0.0);
 
-    var k = i32(lane);
-    loop {
-        // The search is cheap and ends for all lanes of a subgroup before the costly part begins.
-        var at = vec2<i32>(-1);
-        var pixel = 0u;
-        while k < n && at.x < 0 {
-            // The division may be off by one where the box is large.
-            var row = i32((f32(k) + 0.5) * inv_width);
-            row -= i32(row * width > k);
-            row += i32((row + 1) * width <= k);
-            let here = vec2<i32>(k - row * width, row);
-            pixel = u32(first.y + here.y) * params.width + u32(first.x + here.x);
-            at = select(vec2<i32>(-1), here, nearest >= gates[pixel]);
-            k += i32(LANES);
-        }
-        if at.x < 0 {
-            break;
-        }
+    for (var k = i32(lane); k < n; k += i32(LANES)) {
+        // The division may be off by one where the box is large.
+        var row = i32((f32(k) + 0.5) * inv_width);
+        row -= i32(row * width > k);
+        row += i32((row + 1) * width <= k);
+        let at = vec2<i32>(k - row * width, row);
+        let pixel = u32(first.y + at.y) * params.width + u32(first.x + at.x);
         let offset = vec2<f32>(at) / params.norm_px;
         let d = scale * offset;
         let line = edges.line + edges.dir_x * d.y - edges.dir_y * d.x;
@@ -105,7 +80,6 @@ fn main(
         let r = fragment_at(edges, face.inv_z, line, along);
 
         let seen = pixels[pixel];
-        let rest = pixels_rest[pixel];
         let g = seen.xyz;
         let e = exp(-abs(r.x));
         let inv = 1.0 / (1.0 + e);
@@ -113,10 +87,10 @@ fn main(
         // and would then have no bound where only the far background competes.
         let share = min(exp(min(nearness(r.z) - seen.w + min(r.x, 0.0), 1.0)) * inv, 1.0);
         let weight = select(0.0, share, r.counts);
-        let gs = weight * (dot(g, own) - rest.x);
+        let gs = weight * (dot(g, own) - pixels_rest[pixel].x);
         var gx = gs * select(1.0, e, r.x > 0.0) * inv;
         if COVERAGE {
-            gx += select(0.0, rest.y * select(e, 1.0, r.x > 0.0) * inv, r.counts);
+            gx += select(0.0, pixels_rest[pixel].y * select(e, 1.0, r.x > 0.0) * inv, r.counts);
         }
         g_colour += weight * g;
 
@@ -160,11 +134,19 @@ fn main(
     sums[$Ku * LANES + lane] = mine[$K];
 #end
     workgroupBarrier();
+    for (var k = lane; k < SUMS; k += LANES) {
+        var sum = 0.0;
+        for (var j = 0u; j < LANES; j++) {
+            sum += sums[k * LANES + j];
+        }
+        totals[k] = sum;
+    }
+    workgroupBarrier();
     if lane < 3u {
         let p = select(select(face.c, face.b, lane == 1u), face.a, lane == 0u);
         let inv_z = select(select(face.inv_z.z, face.inv_z.y, lane == 1u), face.inv_z.x, lane == 0u);
-        let gp = vec2<f32>(sum_of(3u * lane), sum_of(3u * lane + 1u));
-        write_corner(9u * f + 3u * lane, p, inv_z, gp, sum_of(3u * lane + 2u));
-        grad_face_colours[3u * f + lane] += sum_of(9u + lane);
+        let gp = vec2<f32>(totals[3u * lane], totals[3u * lane + 1u]);
+        write_corner(9u * f + 3u * lane, p, inv_z, gp, totals[3u * lane + 2u]);
+        grad_face_colours[3u * f + lane] += totals[9u + lane];
     }
 }

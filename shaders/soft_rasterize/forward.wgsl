@@ -1,4 +1,4 @@
-// Pass 4, one tile a workgroup: colour and alpha, and for the backward pass state = (ln W, T): W = sum exp(score),
+// Pass 4, one tile with a list a workgroup: colour and alpha, and for the backward pass state = (ln W, T): W = sum exp(score),
 // T = prod (1 - D).
 //
 // Each invocation takes every LANES-th face of the tile's list and keeps its share of all the tile's pixels in
@@ -28,6 +28,7 @@ struct Share {
 @group(0) @binding(5) var<storage, read_write> rgb: array<f32>;
 @group(0) @binding(6) var<storage, read_write> alpha: array<f32>;
 @group(0) @binding(7) var<storage, read_write> state: array<vec2<f32>>;
+@group(0) @binding(8) var<storage, read> busy: array<u32>;
 
 // (most, weight, clear, red) and (green, blue) of each pixel and invocation.
 var<workgroup> shares: array<vec4<f32>, TILE_PIXELS * LANES>;
@@ -61,10 +62,11 @@ fn main(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
 ) {
-    let tile = group.x + group.y * groups.x;
-    if tile >= params.n_tiles {
+    let place = group.x + group.y * groups.x;
+    if place >= busy[0] {
         return;
     }
+    let tile = busy[1u + place];
     let x0 = (tile % params.tiles_x) * TILE;
     let y0 = (tile / params.tiles_x) * TILE;
     let origin = pixel_centre(i32(x0), i32(y0));
@@ -104,19 +106,16 @@ fn main(
     #end
 #end
     }
-    // Nothing to merge in a tile without faces.
     let sharers = min(end - start, LANES);
-    if sharers > 0u {
 #for J in 0..TILE
     #for I in 0..TILE
-        {
-            let at = ($Ju * TILE + $Iu) * LANES + lane;
-            shares[at] = vec4<f32>(share_$J_$I.most, share_$J_$I.weight, share_$J_$I.clear, share_$J_$I.colour.x);
-            shares_gb[at] = share_$J_$I.colour.yz;
-        }
+    {
+        let at = ($Ju * TILE + $Iu) * LANES + lane;
+        shares[at] = vec4<f32>(share_$J_$I.most, share_$J_$I.weight, share_$J_$I.clear, share_$J_$I.colour.x);
+        shares_gb[at] = share_$J_$I.colour.yz;
+    }
     #end
 #end
-    }
     workgroupBarrier();
     for (var i = lane; i < TILE_PIXELS; i += LANES) {
         let x = x0 + i % TILE;

@@ -14,8 +14,9 @@ const MIN_AREA: f32 = 1e-12;
 @group(0) @binding(2) var<storage, read> faces: array<u32>;
 @group(0) @binding(3) var<storage, read_write> records: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> boxes: array<vec2<u32>>; // x0 | x1 << 16, y0 | y1 << 16
-@group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>;
+@group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>; // [n_tiles], then of the drawn faces
 @group(0) @binding(6) var<storage, read> limits: array<f32>;
+@group(0) @binding(7) var<storage, read_write> drawn: array<u32>; // how many faces, then which
 
 fn vertex_at(i: u32) -> vec3<f32> {
     return vec3<f32>(view[3u * i], view[3u * i + 1u], view[3u * i + 2u]);
@@ -49,9 +50,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let high = floor((max(a, max(b, c)) + reach) * params.norm_px + 0.5 * size - 0.5);
     let x0 = clamp(low, vec2<f32>(0.0), size);
     let x1 = clamp(high, vec2<f32>(-1.0), size - 1.0);
-    let drawn = z_min > 0.0 && z_max > params.near && z_min < params.far && abs(area) > MIN_AREA
+    let visible = z_min > 0.0 && z_max > params.near && z_min < params.far && abs(area) > MIN_AREA
         && x0.x <= x1.x && x0.y <= x1.y;
-    if !drawn {
+    if !visible {
         // A record of zeros has no depth and counts nowhere.
         boxes[f] = vec2<u32>(1u, 1u);
         records[4u * f] = vec4<f32>(0.0);
@@ -78,4 +79,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         }
     }
     boxes[f] = select(vec2<u32>(1u), first | (last << vec2<u32>(16u)), seen);
+    if seen {
+        drawn[1u + atomicAdd(&counts[params.n_tiles], 1u)] = f;
+    }
 }

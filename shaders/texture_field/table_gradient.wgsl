@@ -33,31 +33,34 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let first = id.x * RUN;
     let end = min(first + RUN, min(params.n_max, count[0]));
     let level = params.levels[id.y];
-    var corner = vec3<u32>(0xffffffffu);
-    var sums: array<vec2<f32>, 8>;
-    for (var p = first; p < end; p++) {
-        let upstream = grad_encoded[p * ENCODED4 * 2u + id.y];
-        if all(upstream == vec2<f32>(0.0)) {
-            continue;
+    var p = first;
+    loop {
+        if p >= end {
+            break;
         }
-        let cell = cell_of(vec3<f32>(coords[3u * p], coords[3u * p + 1u], coords[3u * p + 2u]), level);
-        if any(cell.corner != corner) {
-            if corner.x != 0xffffffffu {
-                add(corner, level, sums);
-            }
-            corner = cell.corner;
-            sums = array<vec2<f32>, 8>();
-        }
-        let f = cell.place;
-        let g = 1.0 - f;
-        let low = vec4<f32>(g.x * g.y, f.x * g.y, g.x * f.y, f.x * f.y) * g.z;
-        let high = vec4<f32>(g.x * g.y, f.x * g.y, g.x * f.y, f.x * f.y) * f.z;
+        // One cell after the other, so that the additions stand outside of the loop over its pixels.
+        let x = vec3<f32>(coords[3u * p], coords[3u * p + 1u], coords[3u * p + 2u]);
+        let corner = cell_of(x, level).corner;
+        var cell = cell_of(x, level);
+        var sums = array<vec2<f32>, 8>();
+        var same = true;
+        while same {
+            let upstream = grad_encoded[p * ENCODED4 * 2u + id.y];
+            let f = cell.place;
+            let g = 1.0 - f;
+            let low = vec4<f32>(g.x * g.y, f.x * g.y, g.x * f.y, f.x * f.y) * g.z;
+            let high = vec4<f32>(g.x * g.y, f.x * g.y, g.x * f.y, f.x * f.y) * f.z;
 #for K in 0..4
-        sums[$K] += low[$K] * upstream;
-        sums[$K + 4] += high[$K] * upstream;
+            sums[$K] += low[$K] * upstream;
+            sums[$K + 4] += high[$K] * upstream;
 #end
-    }
-    if corner.x != 0xffffffffu {
+            p++;
+            same = p < end;
+            if same {
+                cell = cell_of(vec3<f32>(coords[3u * p], coords[3u * p + 1u], coords[3u * p + 2u]), level);
+                same = all(cell.corner == corner);
+            }
+        }
         add(corner, level, sums);
     }
 }

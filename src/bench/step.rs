@@ -67,7 +67,7 @@ impl StepBench {
     }
 
     /// Calls `with` with one step on all frames in the last phase of a stage of `standard`: full resolution.
-    fn with<R>(
+    pub fn with<R>(
         &self,
         stage: Stage,
         with: impl FnOnce(&mut dyn FnMut() -> Result<(), FitError>) -> Result<R, FitError>,

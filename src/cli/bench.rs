@@ -22,6 +22,9 @@ pub struct Args {
     /// Sides of the square images, pixels.
     #[arg(long, default_value = "540", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(16..=4096))]
     size: Vec<u32>,
+    /// Frames of a step.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
+    frames: u32,
     /// Timed rounds over all operators.
     #[arg(long, default_value_t = 15, value_parser = clap::value_parser!(u32).range(1..))]
     repeats: u32,
@@ -99,7 +102,7 @@ pub fn run(args: Args) -> Result<()> {
         }
         drop(cases);
         drop(frame);
-        let steps = StepBench::new(&gpu, &body, size_px, 1)?;
+        let steps = StepBench::new(&gpu, &body, size_px, args.frames as usize)?;
         for (name, stage) in [("step/geometry", Stage::Geometry), ("step/texture", Stage::Texture)] {
             if args.filter.as_ref().is_none_or(|text| name.contains(text.as_str())) {
                 let step = steps.run(stage, args.repeats)?;

@@ -30,10 +30,6 @@ impl SoftTerm {
         &self.rasterizer.rgb
     }
 
-    pub fn clear_gradients(&self, recorder: &mut Recorder<'_>) {
-        recorder.clear(&self.grad_rgb);
-    }
-
     /// Over the scene's hard image: the colours of what it does not hide.
     pub fn forward(
         &self,

@@ -98,10 +98,8 @@ impl<'a> StageWork<'a> {
         let params = soft_params(scene, frame.phase, frame.frame, BACKGROUND);
         let (colours, grad_colours) = self.look.face_colours();
         soft.forward(recorder, &params, camera, scene, colours);
-        rgb.forward(recorder, n, soft.rgb(), target, inside, self.losses.slot(Term::RgbSoft));
-        soft.clear_gradients(recorder);
-        let weight = frame.per_pixel(frame.weights.rgb_soft);
-        rgb.backward(recorder, n, soft.rgb(), target, inside, weight, &soft.grad_rgb);
+        let (slot, weight) = (self.losses.slot(Term::RgbSoft), frame.per_pixel(frame.weights.rgb_soft));
+        rgb.forward_backward(recorder, n, soft.rgb(), target, inside, slot, weight, &soft.grad_rgb);
         soft.backward(recorder, &params, camera, scene, colours, grad_colours);
     }
 

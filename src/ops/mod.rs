@@ -25,6 +25,7 @@ pub mod diffuse;
 pub mod edge_gradient;
 pub mod face_area;
 pub mod face_normals;
+mod fill;
 pub mod hard_rasterize;
 pub mod interpolate;
 pub mod keypoints;

@@ -89,9 +89,8 @@ impl Look for FaceColours {
         let Self { image, grad_image, .. } = self;
         let (colours, grad_colours) = self.face_colours();
         scene.hard.shade(recorder, camera, colours, BACKGROUND, image);
-        self.rgb.forward(recorder, n, image, target, None, losses.rgb_slot(frame.frame));
-        recorder.clear(grad_image);
-        self.rgb.backward(recorder, n, image, target, None, frame.per_pixel(frame.weights.rgb), grad_image);
+        let (slot, weight) = (losses.rgb_slot(frame.frame), frame.per_pixel(frame.weights.rgb));
+        self.rgb.forward_backward(recorder, n, image, target, None, slot, weight, grad_image);
         scene.hard.shade_backward(recorder, camera, &scene.view, grad_image, grad_colours);
     }
 

@@ -50,6 +50,9 @@ pub struct Texture {
     pixel_rate: f32,
 }
 
+/// The most pixels that a step looks at in one frame: what the smallest allowed binding holds of the field's activations.
+const MAX_LISTED: usize = 1 << 20;
+
 /// The texture under a light: its colours are the albedo.
 struct LitTexture {
     lit: Lit,
@@ -112,14 +115,14 @@ impl Texture {
         let texels = state.texels.as_ref();
         let coords = texels.map_or(state.texcoords.clone(), |t| t.uvs.iter().flat_map(|&[u, v]| [u, v, 0.0]).collect());
         Ok(Self {
-            model: TextureModel::new(gpu, config, state, n.max(n_faces))?,
+            model: TextureModel::new(gpu, config, state, n.min(MAX_LISTED).max(n_faces))?,
             steps: 0,
             texcoords: Group::whole(gpu, "texcoords", &coords, AdamConfig::default()),
             uv_faces: texels.map(|t| gpu.upload("fit/uv_faces", t.uv_faces.as_flattened())),
             learned: texels.is_none() && config.rates.texcoords != 0.0,
             faces: faces.clone(),
             lit: config.light.then(lit),
-            interpolate: Interpolate::new(gpu, n, n),
+            interpolate: Interpolate::new(gpu, n, n.min(MAX_LISTED)),
             rgb: RgbL1::new(gpu, n),
             face_colours: gpu.upload("fit/face_colours", &state.face_colours),
             grad_face_colours: gpu.zeros("fit/grad_face_colours", state.face_colours.len()),
@@ -190,9 +193,8 @@ impl Look for Texture {
 
         let weight = frame.per_pixel(frame.weights.rgb) / self.pixel_rate;
         let trusted = Some(&self.trusted[frame.frame][frame.phase.level]);
-        self.rgb.forward(recorder, n, image, target, trusted, losses.rgb_slot(frame.frame));
-        recorder.clear(grad_image);
-        self.rgb.backward(recorder, n, image, target, trusted, weight, grad_image);
+        let slot = losses.rgb_slot(frame.frame);
+        self.rgb.forward_backward(recorder, n, image, target, trusted, slot, weight, grad_image);
         match &self.lit {
             Some(LitTexture { lit, normals, grad_shaded, .. }) => {
                 interpolate.gather(recorder, n, grad_image, grad_shaded);

@@ -18,11 +18,17 @@ struct Params {
 
 /// A kernel that finds `grad_screen`, and the way from there to the vertices.
 pub(in crate::ops) struct ScreenPass {
+    mark: Arc<Kernel>,
+    groups_pass: Arc<Kernel>,
     // [with colours]
     kernels: [Arc<Kernel>; 2],
     min_step: f32,
     max_sweep: u32,
     grad_screen: Buffer<f32>,
+    /// Pixels that have a border, and the workgroups that they take.
+    count: Buffer<u32>,
+    borders: Buffer<u32>,
+    groups: Buffer<u32>,
 }
 
 impl ScreenPass {
@@ -35,8 +41,17 @@ impl ScreenPass {
         max_sweep: u32,
     ) -> Self {
         let kernels = [false, true].map(|has_rgb| kernel(&[("HAS_RGB", has_rgb.to_string())]));
-        let grad_screen = gpu.zeros("edge_gradient/grad_screen", max_pixels * 2);
-        Self { kernels, min_step: min_step as f32, max_sweep, grad_screen }
+        Self {
+            mark: kernel!(gpu, "edge_gradient/mark"),
+            groups_pass: kernel!(gpu, "edge_gradient/groups"),
+            kernels,
+            min_step: min_step as f32,
+            max_sweep,
+            grad_screen: gpu.zeros("edge_gradient/grad_screen", max_pixels * 2),
+            count: gpu.zeros("edge_gradient/count", 1),
+            borders: gpu.zeros("edge_gradient/borders", max_pixels),
+            groups: gpu.zeros("edge_gradient/groups", 3),
+        }
     }
 
     #[expect(clippy::too_many_arguments, reason = "the contract's buffers, in its order")]
@@ -59,9 +74,14 @@ impl ScreenPass {
         assert!(enough, "{}, {}: length", image.label(), grad_image.label());
         let Self { min_step, max_sweep, .. } = *self;
         let params = Params { width: camera.width, height: camera.height, min_step, max_sweep };
-        let buffers: [&dyn AnyBuffer; 7] =
-            [&hard.pix_to_face, &hard.zbuf, &hard.alpha, grad_alpha, image, grad_image, &self.grad_screen];
-        recorder.dispatch(&self.kernels[usize::from(rgb.is_some())], &params, &buffers, linear_groups(n, 64));
+        let Self { count, borders, groups, grad_screen, .. } = self;
+        recorder.clear(count);
+        recorder.dispatch(&self.mark, &params, &[&hard.zbuf, count, borders], linear_groups(n, 64));
+        recorder.dispatch(&self.groups_pass, &[n as u32, 0, 0, 0], &[count, groups], [1, 1, 1]);
+        recorder.clear(grad_screen);
+        let buffers: [&dyn AnyBuffer; 9] =
+            [&hard.pix_to_face, &hard.zbuf, &hard.alpha, grad_alpha, image, grad_image, grad_screen, count, borders];
+        recorder.dispatch_indirect(&self.kernels[usize::from(rgb.is_some())], &params, &buffers, groups, 0);
         hard.screen_backward(recorder, camera, view, &self.grad_screen, grad_view);
     }
 }

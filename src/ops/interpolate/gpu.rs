@@ -4,22 +4,15 @@ use std::sync::Arc;
 
 use super::Sampling;
 use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder, linear_groups};
+use crate::ops::fill::Fill;
 
 /// Pixels of a mask.
 const BLOCK: usize = 32;
 
-#[repr(C)]
-#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-struct ScatterParams {
-    background: [f32; 3],
-    n_pixels: u32,
-    capacity: u32,
-    pad: [u32; 3],
-}
-
 struct Kernels {
     mark: Arc<Kernel>,
     scan: Arc<Kernel>,
+    list: Arc<Kernel>,
     forward: Arc<Kernel>,
     backward: Arc<Kernel>,
     backward_bary: Arc<Kernel>,
@@ -34,6 +27,9 @@ pub struct Interpolate {
     capacity: usize,
     masks: Buffer<u32>,
     firsts: Buffer<u32>,
+    /// Of 64, for the listed pixels.
+    workgroups: Buffer<u32>,
+    fill: Fill,
     /// `[1]`
     pub count: Buffer<u32>,
     /// `[capacity]`
@@ -52,6 +48,8 @@ impl Interpolate {
             capacity,
             masks: gpu.zeros("interpolate/masks", blocks),
             firsts: gpu.zeros("interpolate/firsts", blocks),
+            workgroups: gpu.zeros("interpolate/workgroups", 3),
+            fill: Fill::new(gpu),
             count: gpu.zeros("interpolate/count", 1),
             pixel_index: gpu.zeros("interpolate/pixel_index", capacity),
             coords: gpu.zeros("interpolate/coords", 3 * capacity),
@@ -85,12 +83,20 @@ impl Interpolate {
         let buffers: [&dyn AnyBuffer; 2] = [pix_to_face, &self.masks];
         recorder.dispatch(&self.kernels.mark, &params, &buffers, linear_groups(blocks, 64));
         let params: [u32; 4] = [blocks as u32, self.capacity as u32, 0, 0];
-        let buffers: [&dyn AnyBuffer; 3] = [&self.masks, &self.firsts, &self.count];
+        let buffers: [&dyn AnyBuffer; 4] = [&self.masks, &self.firsts, &self.count, &self.workgroups];
         recorder.dispatch(&self.kernels.scan, &params, &buffers, [1, 1, 1]);
         let params: [u32; 4] = [n_pixels as u32, self.capacity as u32, 0, 0];
-        let buffers: [&dyn AnyBuffer; 8] =
-            [&self.masks, &self.firsts, pix_to_face, bary_coords, faces, texcoords, &self.pixel_index, &self.coords];
-        recorder.dispatch(&self.kernels.forward, &params, &buffers, linear_groups(n_pixels, 64));
+        let buffers: [&dyn AnyBuffer; 3] = [&self.masks, &self.firsts, &self.pixel_index];
+        recorder.dispatch(&self.kernels.list, &params, &buffers, linear_groups(n_pixels, 64));
+        let buffers: [&dyn AnyBuffer; 7] =
+            [&self.count, &self.pixel_index, pix_to_face, bary_coords, faces, texcoords, &self.coords];
+        self.over_list(recorder, &self.kernels.forward, self.n_max(n_pixels), &buffers);
+    }
+
+    /// Records a kernel that takes a listed pixel an invocation.
+    fn over_list(&self, recorder: &mut Recorder<'_>, kernel: &Arc<Kernel>, n_max: usize, buffers: &[&dyn AnyBuffer]) {
+        let params: [u32; 4] = [n_max as u32, 0, 0, 0];
+        recorder.dispatch_indirect(kernel, &params, buffers, &self.workgroups, 0);
     }
 
     /// Records the gradient by the attribute: adds to `grad_texcoords [V, 3]` what `grad_coords [P, 3]` says.
@@ -111,7 +117,7 @@ impl Interpolate {
         let n_max = self.checked_n_max(n_pixels, grad_coords);
         let buffers: [&dyn AnyBuffer; 7] =
             [&self.count, &self.pixel_index, pix_to_face, bary_coords, faces, grad_coords, grad_texcoords];
-        recorder.dispatch(&self.kernels.backward, &list_params(n_max), &buffers, linear_groups(n_max, 64));
+        self.over_list(recorder, &self.kernels.backward, n_max, &buffers);
     }
 
     /// Records the gradient by the barycentric coordinates: adds to `grad_bary [H, W, 3]` at the listed pixels.
@@ -133,7 +139,7 @@ impl Interpolate {
         assert!(3 * n_pixels <= grad_bary.len(), "interpolate: grad_bary has {} values", grad_bary.len());
         let buffers: [&dyn AnyBuffer; 7] =
             [&self.count, &self.pixel_index, pix_to_face, faces, texcoords, grad_coords, grad_bary];
-        recorder.dispatch(&self.kernels.backward_bary, &list_params(n_max), &buffers, linear_groups(n_max, 64));
+        self.over_list(recorder, &self.kernels.backward_bary, n_max, &buffers);
     }
 
     /// Records `image [H, W, 3]`: `rgb [P, 3]` at the listed pixels, `background` elsewhere.
@@ -148,12 +154,11 @@ impl Interpolate {
         background: [f32; 3],
         image: &Buffer<f32>,
     ) {
-        self.checked_n_max(n_pixels, rgb);
+        let n_max = self.checked_n_max(n_pixels, rgb);
         assert!(3 * n_pixels <= image.len(), "interpolate: the image has {} values", image.len());
-        let (n_pixels32, capacity) = (n_pixels as u32, self.capacity as u32);
-        let params = ScatterParams { background, n_pixels: n_pixels32, capacity, pad: [0; 3] };
-        let buffers: [&dyn AnyBuffer; 4] = [&self.masks, &self.firsts, rgb, image];
-        recorder.dispatch(&self.kernels.scatter, &params, &buffers, linear_groups(n_pixels, 64));
+        self.fill.record(recorder, n_pixels, background, image);
+        let buffers: [&dyn AnyBuffer; 4] = [&self.count, &self.pixel_index, rgb, image];
+        self.over_list(recorder, &self.kernels.scatter, n_max, &buffers);
     }
 
     /// Records `grad_rgb [P, 3] = grad_image [H, W, 3]` at the listed pixels; overwrites.
@@ -170,7 +175,7 @@ impl Interpolate {
         let n_max = self.checked_n_max(n_pixels, grad_rgb);
         assert!(3 * n_pixels <= grad_image.len(), "interpolate: the image has {} values", grad_image.len());
         let buffers: [&dyn AnyBuffer; 4] = [&self.count, &self.pixel_index, grad_image, grad_rgb];
-        recorder.dispatch(&self.kernels.gather, &list_params(n_max), &buffers, linear_groups(n_max, 64));
+        self.over_list(recorder, &self.kernels.gather, n_max, &buffers);
     }
 
     fn checked_n_max(&self, n_pixels: usize, rows: &Buffer<f32>) -> usize {
@@ -181,14 +186,11 @@ impl Interpolate {
     }
 }
 
-fn list_params(n_max: usize) -> [u32; 4] {
-    [n_max as u32, 0, 0, 0]
-}
-
 fn kernels(gpu: &Gpu) -> Kernels {
     Kernels {
         mark: kernel!(gpu, "interpolate/mark"),
         scan: kernel!(gpu, "interpolate/scan"),
+        list: kernel!(gpu, "interpolate/list"),
         forward: kernel!(gpu, "interpolate/forward"),
         backward: kernel!(gpu, "interpolate/backward"),
         backward_bary: kernel!(gpu, "interpolate/backward_bary"),

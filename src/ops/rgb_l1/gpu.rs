@@ -22,6 +22,7 @@ pub struct RgbL1 {
     // [packed][weighted]
     forward: [[Arc<Kernel>; 2]; 2],
     backward: [[Arc<Kernel>; 2]; 2],
+    both: [[Arc<Kernel>; 2]; 2],
     sum: Sum,
     values: Buffer<f32>,
 }
@@ -33,7 +34,8 @@ impl RgbL1 {
         });
         let forward = constants.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/forward", c)));
         let backward = constants.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/backward", c)));
-        Self { forward, backward, sum: Sum::new(gpu), values: gpu.zeros("rgb_l1/values", max_pixels) }
+        let both = constants.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/both", c)));
+        Self { forward, backward, both, sum: Sum::new(gpu), values: gpu.zeros("rgb_l1/values", max_pixels) }
     }
 
     /// Records the loss of the first `n_pixels` of `image`.
@@ -50,7 +52,7 @@ impl RgbL1 {
         loss: LossSlot<'_>,
     ) {
         assert!(n_pixels <= self.values.len(), "rgb_l1: {n_pixels} pixels");
-        self.record(recorder, &self.forward, n_pixels, image, target, weights, 1.0, &self.values);
+        self.record(recorder, &self.forward, n_pixels, image, target, weights, 1.0, &[&self.values]);
         self.sum.add(recorder, &self.values, n_pixels, loss);
     }
 
@@ -70,7 +72,29 @@ impl RgbL1 {
         grad_image: &Buffer<f32>,
     ) {
         assert!(grad_image.len() >= n_pixels * 3, "{}: length", grad_image.label());
-        self.record(recorder, &self.backward, n_pixels, image, target, weights, lambda, grad_image);
+        self.record(recorder, &self.backward, n_pixels, image, target, weights, lambda, &[grad_image]);
+    }
+
+    /// Records the loss and `grad_image = λ ∂L/∂image` in one pass; what `grad_image` held is lost.
+    ///
+    /// # Panics
+    /// As `forward` and `backward`.
+    #[expect(clippy::too_many_arguments, reason = "the contract's buffers, in its order")]
+    pub fn forward_backward(
+        &self,
+        recorder: &mut Recorder<'_>,
+        n_pixels: usize,
+        image: &Buffer<f32>,
+        target: Target<'_>,
+        weights: Option<&Buffer<f32>>,
+        loss: LossSlot<'_>,
+        lambda: f32,
+        grad_image: &Buffer<f32>,
+    ) {
+        assert!(n_pixels <= self.values.len(), "rgb_l1: {n_pixels} pixels");
+        assert!(grad_image.len() >= n_pixels * 3, "{}: length", grad_image.label());
+        self.record(recorder, &self.both, n_pixels, image, target, weights, lambda, &[&self.values, grad_image]);
+        self.sum.add(recorder, &self.values, n_pixels, loss);
     }
 
     #[expect(clippy::too_many_arguments, reason = "what both passes share")]
@@ -83,7 +107,7 @@ impl RgbL1 {
         target: Target<'_>,
         weights: Option<&Buffer<f32>>,
         lambda: f32,
-        out: &Buffer<f32>,
+        out: &[&dyn AnyBuffer],
     ) {
         assert!(image.len() >= n_pixels * 3, "{}: length", image.label());
         assert!(weights.is_none_or(|w| w.len() >= n_pixels), "rgb_l1: length of weights");
@@ -97,7 +121,7 @@ impl RgbL1 {
         };
         let kernel = &kernels[usize::from(target.is_packed())][usize::from(weights.is_some())];
         // Without weights the kernel reads nothing there.
-        let buffers: [&dyn AnyBuffer; 4] = [image, target.buffer(n_pixels, 3), weights.unwrap_or(image), out];
-        recorder.dispatch(kernel, &params, &buffers, linear_groups(n_pixels, 64));
+        let read: [&dyn AnyBuffer; 3] = [image, target.buffer(n_pixels, 3), weights.unwrap_or(image)];
+        recorder.dispatch(kernel, &params, &[&read[..], out].concat(), linear_groups(n_pixels, 64));
     }
 }

@@ -6,6 +6,9 @@
 //! | target | [`Target`](crate::ops::Target) | the masked ground truth I |
 //! | `weights` | `[H, W]` | optional weight of each pixel |
 //! | `grad_image` | `[H, W, 3]` | `backward` adds `λ w sign(Î − I)`, zero where both are equal |
+//!
+//! `forward_backward` does both in one pass over the image and, against the rule, overwrites `grad_image`: nothing has to be
+//! cleared and read first.
 
 pub mod cpu;
 mod gpu;

@@ -13,7 +13,13 @@ fn on_gpu(gpu: &Gpu, image: &[f64], target: Target<'_>, weights: Option<&[f64]>,
     let mut recorder = gpu.recorder("rgb_l1/test");
     op.forward(&mut recorder, n, &image, target, weights.as_ref(), LossSlot::new(&losses, 1));
     op.backward(&mut recorder, n, &image, target, weights.as_ref(), lambda, &grad);
+    let (losses_both, grad_both) = (gpu.zeros("losses", 2), gpu.upload("grad_both", &vec![7.0f32; n * 3]));
+    let slot = LossSlot::new(&losses_both, 1);
+    op.forward_backward(&mut recorder, n, &image, target, weights.as_ref(), slot, lambda, &grad_both);
     recorder.submit().unwrap();
+    let (apart, both) = (gpu.read(&grad).unwrap(), gpu.read(&grad_both).unwrap());
+    assert!(apart.iter().zip(&both).all(|(a, b)| (a - 1.0 - b).abs() < 1e-6), "one pass or two");
+    assert_eq!(gpu.read(&losses).unwrap()[1], gpu.read(&losses_both).unwrap()[1], "one pass or two");
     (gpu.read(&losses).unwrap()[1], gpu.read(&grad).unwrap().iter().map(|g| g - 1.0).collect())
 }
 

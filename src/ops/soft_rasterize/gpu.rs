@@ -6,6 +6,7 @@ use super::SoftRasterizeParams;
 use crate::camera::Camera;
 use crate::gpu::{AnyBuffer, Buffer, Gpu, GpuError, Kernel, Recorder, linear_groups};
 use crate::ops::Corners;
+use crate::ops::fill::Fill;
 
 /// Side of a tile in pixels.
 const TILE: u32 = 4;
@@ -53,8 +54,8 @@ impl Passes {
         Self {
             setup: kernel!(gpu, "soft_rasterize/setup", &lists),
             fill: kernel!(gpu, "soft_rasterize/fill", &lists),
-            forward: kernel!(gpu, "soft_rasterize/forward", &[tile, lanes.clone(), covers.clone()]),
-            pixels: kernel!(gpu, "soft_rasterize/pixels", std::slice::from_ref(&covers)),
+            forward: kernel!(gpu, "soft_rasterize/forward", &[tile.clone(), lanes.clone(), covers.clone()]),
+            pixels: kernel!(gpu, "soft_rasterize/pixels", &[tile.clone(), covers.clone()]),
             backward: kernel!(gpu, "soft_rasterize/backward", &[lanes, covers]),
         }
     }
@@ -76,10 +77,14 @@ pub struct SoftRasterizer {
     cursors: Buffer<u32>,
     entries: Buffer<u32>,
     limits: Buffer<f32>,
+    /// Tiles with a list, faces with a box: how many, then which; and their workgroups.
+    busy: Buffer<u32>,
+    drawn: Buffer<u32>,
+    workgroups: Buffer<u32>,
     state: Buffer<f32>,
     pixels: Buffer<f32>,
     pixels_rest: Buffer<f32>,
-    gates: Buffer<f32>,
+    fill: Fill,
     grad_corners: Buffer<f32>,
     /// `[H, W, 3]`.
     pub rgb: Buffer<f32>,
@@ -104,15 +109,18 @@ impl SoftRasterizer {
             colours_alone: Passes::new(gpu, false),
             records: gpu.zeros("soft_rasterize/records", n_faces * 16),
             boxes: gpu.zeros("soft_rasterize/boxes", n_faces),
-            counts: gpu.zeros("soft_rasterize/counts", n_tiles),
+            counts: gpu.zeros("soft_rasterize/counts", n_tiles + 1),
             starts: gpu.zeros("soft_rasterize/starts", n_tiles + 1),
             cursors: gpu.zeros("soft_rasterize/cursors", n_tiles),
             entries: gpu.zeros("soft_rasterize/entries", list_capacity),
             state: gpu.zeros("soft_rasterize/state", max_pixels * 2),
             limits: gpu.zeros("soft_rasterize/limits", n_tiles),
+            busy: gpu.zeros("soft_rasterize/busy", n_tiles + 1),
+            drawn: gpu.zeros("soft_rasterize/drawn", n_faces + 1),
+            workgroups: gpu.zeros("soft_rasterize/workgroups", 6),
             pixels: gpu.zeros("soft_rasterize/pixels", max_pixels * 4),
             pixels_rest: gpu.zeros("soft_rasterize/pixels_rest", max_pixels * 2),
-            gates: gpu.zeros("soft_rasterize/gates", max_pixels),
+            fill: Fill::new(gpu),
             grad_corners: gpu.zeros("soft_rasterize/grad_corners", n_faces * 9),
             rgb: gpu.zeros("soft_rasterize/rgb", max_pixels * 3),
             alpha: gpu.zeros("soft_rasterize/alpha", max_pixels),
@@ -139,9 +147,9 @@ impl SoftRasterizer {
         let tiles_x = width.div_ceil(TILE);
         let n_tiles = tiles_x * height.div_ceil(TILE);
         assert!(
-            n_tiles as usize <= self.counts.len(),
+            n_tiles as usize <= self.limits.len(),
             "soft_rasterize: {camera:?} has more than {} tiles",
-            self.counts.len()
+            self.limits.len()
         );
         Params {
             n_faces: self.corners.n_faces() as u32,
@@ -186,20 +194,27 @@ impl SoftRasterizer {
         assert_eq!(view.len(), self.corners.n_vertices() * 3, "{}: length", view.label());
         assert_eq!(face_colours.len(), self.corners.n_faces() * 3, "{}: length", face_colours.label());
         let params = self.params(params, camera);
-        let Self { records, boxes, counts, starts, cursors, entries, limits, .. } = self;
+        let Self { records, boxes, counts, starts, cursors, entries, limits, busy, drawn, workgroups, .. } = self;
         let passes = self.passes(surface.is_none());
         let by_face = linear_groups(self.corners.n_faces(), 64);
-        if let Some(zbuf) = surface {
-            assert!(zbuf.len() >= camera.n_pixels(), "{}: length", zbuf.label());
-            recorder.dispatch(&self.limits_pass, &params, &[zbuf, limits], linear_groups(params.n_tiles as usize, 64));
+        // Where no face is near.
+        self.fill.record(recorder, camera.n_pixels(), params.background, &self.rgb);
+        match surface {
+            Some(zbuf) => {
+                assert!(zbuf.len() >= camera.n_pixels(), "{}: length", zbuf.label());
+                let groups = linear_groups(params.n_tiles as usize, 64);
+                recorder.dispatch(&self.limits_pass, &params, &[zbuf, limits], groups);
+            }
+            None => recorder.clear(&self.alpha),
         }
-        let buffers: [&dyn AnyBuffer; 6] = [view, &self.corners.faces, records, boxes, counts, limits];
+        let buffers: [&dyn AnyBuffer; 7] = [view, &self.corners.faces, records, boxes, counts, limits, drawn];
         recorder.dispatch(&passes.setup, &params, &buffers, by_face);
-        recorder.dispatch(&self.scan, &params, &[counts, starts, cursors], [1, 1, 1]);
+        let buffers: [&dyn AnyBuffer; 6] = [counts, starts, cursors, busy, drawn, workgroups];
+        recorder.dispatch(&self.scan, &params, &buffers, [1, 1, 1]);
         recorder.dispatch(&passes.fill, &params, &[boxes, cursors, entries, records, limits], by_face);
-        let buffers: [&dyn AnyBuffer; 7] =
-            [records, face_colours, starts, entries, &self.rgb, &self.alpha, &self.state];
-        recorder.dispatch(&passes.forward, &params, &buffers, linear_groups(params.n_tiles as usize, 1));
+        let buffers: [&dyn AnyBuffer; 8] =
+            [records, face_colours, starts, entries, &self.rgb, &self.alpha, &self.state, busy];
+        recorder.dispatch_indirect(&passes.forward, &params, &buffers, workgroups, 0);
     }
 
     /// Records `grad_view +=` and `grad_face_colours +=` the gradients through the last image. Without `grad_alpha`, or
@@ -225,15 +240,16 @@ impl SoftRasterizer {
         assert_eq!(face_colours.len(), self.corners.n_faces() * 3, "{}: length", face_colours.label());
         assert_eq!(grad_face_colours.len(), face_colours.len(), "{}: length", grad_face_colours.label());
         let params = self.params(params, camera);
-        let Self { records, boxes, pixels, pixels_rest, gates, grad_corners, .. } = self;
+        let Self { records, boxes, pixels, pixels_rest, busy, drawn, workgroups, grad_corners, .. } = self;
         let passes = self.passes(grad_alpha.is_some());
         // Without a gradient the kernel reads nothing there.
         let grad_alpha = grad_alpha.unwrap_or(grad_rgb);
-        let buffers: [&dyn AnyBuffer; 7] = [&self.state, &self.rgb, grad_rgb, grad_alpha, pixels, pixels_rest, gates];
-        recorder.dispatch(&passes.pixels, &params, &buffers, linear_groups(n_pixels, 64));
+        let buffers: [&dyn AnyBuffer; 7] = [&self.state, &self.rgb, grad_rgb, grad_alpha, pixels, pixels_rest, busy];
+        recorder.dispatch_indirect(&passes.pixels, &params, &buffers, workgroups, 0);
+        recorder.clear(grad_corners);
         let buffers: [&dyn AnyBuffer; 8] =
-            [records, boxes, face_colours, pixels, pixels_rest, gates, grad_corners, grad_face_colours];
-        recorder.dispatch(&passes.backward, &params, &buffers, linear_groups(self.corners.n_faces(), 1));
+            [records, boxes, face_colours, pixels, pixels_rest, drawn, grad_corners, grad_face_colours];
+        recorder.dispatch_indirect(&passes.backward, &params, &buffers, workgroups, 3);
         self.corners.gather(recorder, grad_corners, grad_view);
     }
 

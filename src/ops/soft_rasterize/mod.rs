@@ -24,19 +24,18 @@
 //!
 //! **Exactness.** `cut` is the one approximation of the formula: the reference codes' 9.21 leaves out faces with
 //! `D < 1e-4`. With a small γ such a face may still outweigh the background, so the cut decides how far colours bleed
-//! over the silhouette; an infinite-like cut (`1e6`) gives the formula itself. The backward pass also leaves out, face by
-//! face, a share in the colour below `e⁻¹² = 6e-6`, and the gradient of `alpha` where `Π(1 − D)` is below it.
+//! over the silhouette; an infinite-like cut (`1e6`) gives the formula itself.
 //!
 //! **Colours alone.** Where coverage is not wanted, `forward` takes the depths of the hard image of the same view and leaves
-//! out, tile by tile, the faces that lie so deep behind all that the tile shows that their share is below `e⁻¹²`. Half of
-//! a body is its far side.
+//! out, tile by tile, the faces that lie so deep behind all that the tile shows that their share is below `e⁻¹²`. Half
+//! of a body is its far side.
 //!
 //! **Forward** bins faces into tiles of 4 × 4 pixels. The lists together hold `list_capacity` entries; a tile whose list
 //! does not fit goes through all the faces instead: slow, never wrong; [`SoftRasterizer::list_length`] tells. The order
 //! within a list is that of arrival, so two runs may differ in the last bits.
 //!
-//! **Backward** goes face by face, a workgroup each, over the pixels within reach and writes each face's corners once, in a fixed order and
-//! without float atomics.
+//! **Backward** goes face by face, a workgroup each, over the pixels within reach and writes each face's corners once, in a
+//! fixed order and without float atomics.
 
 pub mod cpu;
 mod gpu;

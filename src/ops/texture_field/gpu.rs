@@ -34,6 +34,11 @@ struct EncodeParams {
     levels: [LevelUniform; MAX_LEVELS],
 }
 
+/// Places in the workgroups: a pixel an invocation, a run of pixels in a level, a chunk of the weights of a layer.
+const BY_PIXEL: usize = 0;
+const BY_RUN: usize = 3;
+const BY_CHUNK: [usize; 3] = [6, 9, 12];
+
 /// `(n_max, weights4, offset4, padding)`; each kernel reads as many as it declares.
 type Params = [u32; 4];
 
@@ -50,7 +55,7 @@ struct Kernels {
 
 /// What the last forward and backward passes left for each other.
 struct Activations {
-    /// Workgroups of [`LANES`] that the listed pixels take.
+    /// Workgroups that the listed pixels take, three numbers each: at [`BY_PIXEL`], [`BY_RUN`], [`BY_CHUNK`].
     groups: Buffer<u32>,
     encoded: Buffer<f32>,
     hidden0: Buffer<f32>,
@@ -103,7 +108,7 @@ impl TextureField {
             encode_params: encode_params(&config),
             kernels: kernels(gpu, &layout),
             activations: Activations {
-                groups: gpu.zeros("texture_field/groups", 3),
+                groups: gpu.zeros("texture_field/groups", 15),
                 encoded: scratch("encoded", encoded),
                 hidden0: scratch("hidden0", hidden),
                 hidden1: scratch("hidden1", hidden),
@@ -138,12 +143,18 @@ impl TextureField {
         assert!(n_max <= self.capacity && 3 * n_max <= coords.len(), "texture_field: {n_max} coordinates");
         let a = &self.activations;
         let params: Params = [n_max as u32, 0, 0, 0];
-        recorder.dispatch(&self.kernels.groups, &params, &[count, &a.groups], [1, 1, 1]);
+        let [t0, t1, t2] = [0, 1, 2].map(|layer| {
+            let (inputs4, outputs4) = self.layer4(layer);
+            let [tile_i, tile_o] = tile((inputs4, outputs4));
+            (inputs4 / tile_i * (outputs4 / tile_o)).div_ceil(8) as u32
+        });
+        let shares: [u32; 8] = [n_max as u32, self.config.n_levels as u32, t0, t1, t2, 0, 0, 0];
+        recorder.dispatch(&self.kernels.groups, &shares, &[count, &a.groups], [1, 1, 1]);
         let encode = EncodeParams { n_max: n_max as u32, ..self.encode_params };
         let buffers: [&dyn AnyBuffer; 4] = [count, coords, &self.table, &a.encoded];
-        recorder.dispatch_indirect(&self.kernels.encode_forward, &encode, &buffers, &a.groups, 0);
+        recorder.dispatch_indirect(&self.kernels.encode_forward, &encode, &buffers, &a.groups, BY_PIXEL);
         let buffers: [&dyn AnyBuffer; 6] = [count, &self.weights, &a.encoded, &a.hidden0, &a.hidden1, &self.rgb];
-        recorder.dispatch_indirect(&self.kernels.mlp_forward, &params, &buffers, &a.groups, 0);
+        recorder.dispatch_indirect(&self.kernels.mlp_forward, &params, &buffers, &a.groups, BY_PIXEL);
     }
 
     /// Records the backward pass of the last [`forward`](Self::forward), with the same arguments: adds to `grad_table`,
@@ -177,25 +188,21 @@ impl TextureField {
             &a.delta2,
             &a.grad_encoded,
         ];
-        recorder.dispatch_indirect(&self.kernels.mlp_backward, &params(0), &buffers, &a.groups, 0);
+        recorder.dispatch_indirect(&self.kernels.mlp_backward, &params(0), &buffers, &a.groups, BY_PIXEL);
         let layers = [(&a.encoded, &a.delta0), (&a.hidden0, &a.delta1), (&a.hidden1, &a.delta2)];
         for (layer, (inputs, deltas)) in layers.into_iter().enumerate() {
-            let (inputs4, outputs4) = self.layer4(layer);
-            let tiles = inputs4 / tile(inputs4) * (outputs4 / tile(outputs4));
-            let groups = [tiles.div_ceil(8) as u32, n_max.div_ceil(CHUNK) as u32, 1];
             let buffers: [&dyn AnyBuffer; 4] = [count, inputs, deltas, &a.partial];
             let offset4 = self.layout.offsets4()[layer];
-            recorder.dispatch(&self.kernels.weight_gradient[layer], &params(offset4), &buffers, groups);
+            let kernel = &self.kernels.weight_gradient[layer];
+            recorder.dispatch_indirect(kernel, &params(offset4), &buffers, &a.groups, BY_CHUNK[layer]);
         }
         let buffers: [&dyn AnyBuffer; 3] = [count, &a.partial, &self.grad_weights];
         recorder.dispatch(&self.kernels.weight_reduce, &params(0), &buffers, [weights4.div_ceil(64) as u32, 1, 1]);
         let encode = EncodeParams { n_max: n_max as u32, ..self.encode_params };
         let buffers: [&dyn AnyBuffer; 4] = [count, coords, &a.grad_encoded, &self.grad_table];
-        let runs = n_max.div_ceil(RUN).div_ceil(64) as u32;
-        let groups = [runs, self.config.n_levels as u32, 1];
-        recorder.dispatch(&self.kernels.table_gradient, &encode, &buffers, groups);
+        recorder.dispatch_indirect(&self.kernels.table_gradient, &encode, &buffers, &a.groups, BY_RUN);
         let buffers: [&dyn AnyBuffer; 5] = [count, coords, &self.table, &a.grad_encoded, grad_coords];
-        recorder.dispatch_indirect(&self.kernels.coords_gradient, &encode, &buffers, &a.groups, 0);
+        recorder.dispatch_indirect(&self.kernels.coords_gradient, &encode, &buffers, &a.groups, BY_PIXEL);
     }
 
     /// Records zeros into `grad_table` and `grad_weights`.
@@ -245,9 +252,10 @@ fn layer4(layout: &Layout, layer: usize) -> (usize, usize) {
     [(layout.encoded4, layout.hidden4), (layout.hidden4, layout.hidden4), (layout.hidden4, 1)][layer]
 }
 
-/// Vectors along one side of a tile of the weights' gradient.
-fn tile(width4: usize) -> usize {
-    if width4.is_multiple_of(2) { 2 } else { 1 }
+/// Vectors of inputs and of outputs of a tile of the weights' gradient: the larger a tile, the less is read for each product.
+fn tile((inputs4, outputs4): (usize, usize)) -> [usize; 2] {
+    let side = |width4: usize, most: usize| (1..=most).rev().find(|&n| width4.is_multiple_of(n)).unwrap_or(1);
+    [side(inputs4, 2), side(outputs4, 4)]
 }
 
 fn encode_params(config: &TextureFieldConfig) -> EncodeParams {
@@ -275,11 +283,12 @@ fn kernels(gpu: &Gpu, layout: &Layout) -> Kernels {
     let chunk = ("CHUNK", format!("{CHUNK}u"));
     let weight_gradient = |layer: usize| {
         let (inputs4, outputs4) = layer4(layout, layer);
+        let [tile_i, tile_o] = tile((inputs4, outputs4));
         let constants = [
             ("INPUTS4", format!("{inputs4}u")),
             ("OUTPUTS4", format!("{outputs4}u")),
-            ("TILE_I", format!("{}u", tile(inputs4))),
-            ("TILE_O", format!("{}u", tile(outputs4))),
+            ("TILE_I", format!("{tile_i}u")),
+            ("TILE_O", format!("{tile_o}u")),
             chunk.clone(),
         ];
         kernel!(gpu, "texture_field/weight_gradient", &constants)
@@ -287,7 +296,7 @@ fn kernels(gpu: &Gpu, layout: &Layout) -> Kernels {
     let encoding = [lanes.clone(), encoded4.clone()];
     let widths = [lanes.clone(), encoded4.clone(), hidden4];
     Kernels {
-        groups: kernel!(gpu, "texture_field/groups", std::slice::from_ref(&lanes)),
+        groups: kernel!(gpu, "texture_field/groups", &[lanes.clone(), chunk.clone(), run.clone()]),
         encode_forward: kernel!(gpu, "texture_field/encode_forward", &encoding),
         mlp_forward: kernel!(gpu, "texture_field/mlp_forward", &widths),
         mlp_backward: kernel!(gpu, "texture_field/mlp_backward", &widths),
