@@ -47,7 +47,7 @@ impl Default for Settings {
         Self {
             frames: 16,
             size_px: 256,
-            presets: vec!["draft", "standard", "paper"],
+            presets: vec!["draft", "standard", "paper", "silhouette-only"],
             twice: vec!["draft", "standard"],
             picture_px: 540,
         }
@@ -158,7 +158,7 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
         )],
         verdicts,
         notes: vec![format!(
-            "A made clip of {} frames of {}²; time grows with the frames and, in `standard` and `paper`, with their pixels.",
+            "A made clip of {} frames of {}²; time grows with the frames and with their pixels.",
             settings.frames, settings.size_px
         )],
     })
