@@ -45,10 +45,10 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            frames: 16,
+            frames: 12,
             size_px: 256,
             presets: vec!["draft", "standard", "paper", "silhouette-only"],
-            twice: vec!["draft", "standard"],
+            twice: vec!["standard"],
             picture_px: 540,
         }
     }
