@@ -13,7 +13,7 @@ use effigy::storage::Store;
 use effigy::webhooks::{Courier, Sender, system_lookup};
 use effigy::worker::{Reaper, Supervisor, SupervisorSettings};
 
-use super::service::{asked_to_end, open_queue, open_store, policy, start_log};
+use super::service::{asked_to_end, open_queue, open_with_reserve, policy, start_log};
 use super::settings::{InForce, ServerSettings};
 
 #[derive(clap::Args)]
@@ -30,13 +30,14 @@ pub fn run(args: Args) -> Result<()> {
 
 async fn serve(in_force: InForce) -> Result<()> {
     let config = &in_force.config;
-    let store = open_store(&config.data_dir())?;
+    let store = open_with_reserve(config)?;
     let Some(_lock) = store.lock_server()? else {
         bail!("another server uses the data folder {}", store.root().display());
     };
     let env = Env::system();
     let queue = open_queue(&store, &env, policy(config)).await?;
     clean(&store, queue.as_ref()).await?;
+    store.load_ballast().context("keeping a little room for deletions")?;
     let reaper = tokio::spawn(Reaper { queue: queue.clone(), store: store.clone() }.run());
 
     let supervisor = match config.workers.0 {

@@ -16,7 +16,7 @@ use super::settings::InForce;
 
 pub fn policy(config: &Config) -> Policy {
     let retention = config.retain_days.map(|days| Duration::from_secs(u64::from(days) * 86_400));
-    Policy { retention, ..Policy::default() }
+    Policy { retention, max_queued: config.max_queued.into(), ..Policy::default() }
 }
 
 /// Logs to standard error.
@@ -35,8 +35,16 @@ pub fn start_log(in_force: &InForce) -> Result<()> {
 }
 
 pub fn open_store(data_dir: &Path) -> Result<Arc<Store>> {
-    let store = Store::open(data_dir).with_context(|| format!("the data folder {}", data_dir.display()))?;
-    Ok(Arc::new(store))
+    Ok(Arc::new(open(data_dir)?))
+}
+
+/// For those who bring new files: they keep the disk's reserve free.
+pub fn open_with_reserve(config: &Config) -> Result<Arc<Store>> {
+    Ok(Arc::new(open(&config.data_dir())?.with_reserve(config.disk_reserve_bytes.0)))
+}
+
+fn open(data_dir: &Path) -> Result<Store> {
+    Store::open(data_dir).with_context(|| format!("the data folder {}", data_dir.display()))
 }
 
 pub async fn open_queue(store: &Store, env: &Env, policy: Policy) -> Result<Arc<SqliteQueue>> {

@@ -9,7 +9,7 @@ use effigy::jobs::Env;
 use effigy::worker::{self, DeviceEngine, DeviceThread, Owner, Reaper, Worker, channel};
 use tokio::sync::watch;
 
-use super::service::{asked_to_end, open_queue, open_store, policy, start_log};
+use super::service::{asked_to_end, open_queue, open_with_reserve, policy, start_log};
 use super::settings::WorkerSettings;
 
 #[derive(clap::Args)]
@@ -39,7 +39,7 @@ pub fn run(args: Args) -> Result<()> {
 }
 
 async fn work(config: &Config, renders_on_stdio: bool) -> Result<()> {
-    let store = open_store(&config.data_dir())?;
+    let store = open_with_reserve(config)?;
     let env = Env::system();
     let queue = open_queue(&store, &env, policy(config)).await?;
     let device = DeviceThread::start(DeviceEngine::default())?;

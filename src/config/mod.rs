@@ -89,6 +89,10 @@ settings! {
     both retain_days: Option<u32> = "";
     /// A fit that shows no step for so many seconds hangs: its attempt ends, and the worker's process is started anew.
     both stall_secs: u32 = "600";
+    /// So many jobs may wait; more are refused with 429.
+    serve max_queued: u32 = "1000";
+    /// New uploads and fits leave so much of the data folder's disk free.
+    both disk_reserve_bytes: Bytes = "1GiB";
     /// Who must show a key (`effigy keys create`). `auto`: everybody, once there is a key; a server that others can reach
     /// does not start without one. `keys`: everybody, always; right behind a proxy. `open`: nobody.
     serve auth: Auth = "auto";

@@ -1,7 +1,8 @@
 //! What the handlers share.
 
+use std::collections::HashMap;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use tokio::sync::{Semaphore, watch};
 
@@ -43,6 +44,22 @@ pub struct Limits {
     pub upload_bytes: u64,
 }
 
+/// One request at a time for each client's key.
+#[derive(Default)]
+pub(super) struct KeyLocks(Mutex<HashMap<String, Arc<tokio::sync::Mutex<()>>>>);
+
+impl KeyLocks {
+    pub async fn lock(&self, key: &str) -> tokio::sync::OwnedMutexGuard<()> {
+        let lock = {
+            let mut locks = self.0.lock().unwrap();
+            // Whoever holds or awaits a lock has a share in it.
+            locks.retain(|_, lock| Arc::strong_count(lock) > 1);
+            locks.entry(key.into()).or_default().clone()
+        };
+        lock.lock_owned().await
+    }
+}
+
 impl Default for Limits {
     fn default() -> Self {
         Limits { upload_bytes: 4 << 30 }
@@ -65,6 +82,7 @@ pub struct App {
     /// Where webhooks are kept, and whether they may have private addresses.
     pub(super) webhooks: Option<(Arc<dyn Webhooks>, bool)>,
     pub(super) inspections: Arc<Semaphore>,
+    pub(super) keys: Arc<KeyLocks>,
     /// Id of the newest event, and the end of the server: what event streams wait for.
     pub(super) feed: watch::Sender<Feed>,
 }
@@ -96,6 +114,7 @@ impl App {
             access,
             webhooks,
             inspections,
+            keys: Arc::default(),
             feed: watch::Sender::default(),
         }
     }

@@ -69,8 +69,15 @@ pub enum ApiError {
     TooMany { slug: &'static str, detail: String, retry_after_secs: u32 },
     #[error("{0}")]
     Busy(String),
+    #[error("so many jobs wait that no more are taken")]
+    QueueFull,
+    #[error("this idempotency key was given with another request")]
+    KeyReused,
     #[error("the disk is full")]
     DiskFull,
+    /// Room for what is at work already, none for more.
+    #[error("the server's disk has {free_bytes} bytes left, of which {reserve_bytes} are kept free")]
+    DiskReserve { free_bytes: u64, reserve_bytes: u64 },
     /// Ours; the cause is logged and not told.
     #[error("something went wrong inside the server")]
     Internal(#[source] anyhow::Error),
@@ -78,6 +85,8 @@ pub enum ApiError {
 
 /// Seconds after which a client may ask again when the server was busy.
 const RETRY_AFTER_SECS: u32 = 5;
+/// A place in the queue comes free when a fit ends, which takes minutes.
+const QUEUE_RETRY_AFTER_SECS: u32 = 60;
 
 /// The same for a quota, which frees up when a job ends or is deleted.
 const QUOTA_RETRY_SECS: u32 = 60;
@@ -115,7 +124,13 @@ impl ApiError {
                 (StatusCode::TOO_MANY_REQUESTS, *slug, "This is more than the key allows")
             }
             ApiError::Busy(_) => (StatusCode::SERVICE_UNAVAILABLE, "busy", "The server cannot do this now"),
-            ApiError::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk-full", "The server's disk is full"),
+            ApiError::QueueFull => (StatusCode::TOO_MANY_REQUESTS, "queue-full", "The queue is full"),
+            ApiError::KeyReused => {
+                (StatusCode::UNPROCESSABLE_ENTITY, "idempotency-key-reused", "The key belongs to another request")
+            }
+            ApiError::DiskFull | ApiError::DiskReserve { .. } => {
+                (StatusCode::INSUFFICIENT_STORAGE, "disk-full", "The server's disk is full")
+            }
             ApiError::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed"),
         }
     }
@@ -152,6 +167,10 @@ impl ApiError {
                 problem.part = part.clone();
                 problem.expected = Some(format!("at most {limit_bytes} bytes"));
             }
+            ApiError::KeyReused => {
+                problem.part = Some("idempotency-key".into());
+                problem.expected = Some("a new key for a new request, the same parts for the same key".into());
+            }
             _ => {}
         }
         (status, problem)
@@ -176,6 +195,9 @@ impl IntoResponse for ApiError {
             }
             ApiError::Unauthorized(_) => {
                 headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+            }
+            ApiError::QueueFull => {
+                headers.insert(header::RETRY_AFTER, QUEUE_RETRY_AFTER_SECS.into());
             }
             ApiError::Range { size } => {
                 if let Ok(value) = HeaderValue::try_from(format!("bytes */{size}")) {

@@ -27,6 +27,7 @@ pub fn new_job(env: &Env) -> NewJob {
         options: JobOptions::default(),
         inputs: BTreeMap::from([("video".to_string(), Part { bytes: 10 })]),
         clip: Clip { frames: 5, width: 64, height: 48, fps: 30.0 },
+        remember: None,
     }
 }
 
@@ -49,7 +50,7 @@ fn avatar() -> NewAvatar {
 impl Bench {
     async fn add(&self) -> Uuid {
         self.clock.advance(Duration::from_millis(1));
-        self.queue.insert(new_job(&self.env)).await.unwrap().id
+        self.queue.insert(new_job(&self.env)).await.unwrap().queued().unwrap().id
     }
 
     async fn claim(&self) -> Option<Lease> {
@@ -221,7 +222,7 @@ pub async fn a_job_that_passes_its_deadline_fails(b: Bench) {
     for _ in 0..3 {
         let mut new = new_job(&b.env);
         new.options.deadline_secs = Some(30);
-        ids.push(b.queue.insert(new).await.unwrap().id);
+        ids.push(b.queue.insert(new).await.unwrap().queued().unwrap().id);
     }
     let endless = b.add().await;
     let running = b.claim().await.unwrap();
@@ -251,7 +252,7 @@ pub async fn a_higher_priority_goes_first(b: Bench) {
         b.clock.advance(Duration::from_millis(1));
         let mut new = new_job(&b.env);
         new.options.priority = priority;
-        ids.push(b.queue.insert(new).await.unwrap().id);
+        ids.push(b.queue.insert(new).await.unwrap().queued().unwrap().id);
     }
     for (id, position) in ids.iter().zip([3, 4, 1, 2]) {
         assert_eq!(b.job(*id).await.queue_position, Some(position));
@@ -259,6 +260,55 @@ pub async fn a_higher_priority_goes_first(b: Bench) {
     for i in [2, 3, 0, 1] {
         assert_eq!(b.claim().await.unwrap().job, ids[i]);
     }
+}
+
+pub async fn a_key_queues_one_job(b: Bench) {
+    let remember = |fingerprint: char| {
+        let fingerprint = fingerprint.to_string().repeat(64);
+        Some(Remember { key: "/k".into(), fingerprint, answer: |job| json!({ "id": job.id }).to_string() })
+    };
+    let posts = (0..20).map(|_| {
+        let (queue, new) = (b.queue.clone(), NewJob { remember: remember('a'), ..new_job(&b.env) });
+        tokio::spawn(async move { queue.insert(new).await.unwrap() })
+    });
+    let (mut queued, mut known) = (Vec::new(), Vec::new());
+    for post in posts.collect::<Vec<_>>() {
+        match post.await.unwrap() {
+            Insertion::Queued(job) => queued.push(json!({ "id": job.id }).to_string()),
+            Insertion::Known(remembered) => known.push(remembered.answer),
+            Insertion::Full => panic!(),
+        }
+    }
+    assert_eq!((queued.len(), known.len()), (1, 19));
+    assert!(known.iter().all(|answer| *answer == queued[0]));
+    // Whatever became of the job, and whatever comes under the key.
+    let job = b.claim().await.unwrap().job;
+    assert!(matches!(b.queue.delete(job).await.unwrap(), Deletion::Pending));
+    let other = NewJob { remember: remember('b'), ..new_job(&b.env) };
+    let Insertion::Known(first) = b.queue.insert(other.clone()).await.unwrap() else { panic!() };
+    assert_eq!(first.fingerprint, "a".repeat(64));
+    b.clock.advance(Duration::from_secs(24 * 3600 - 1));
+    b.queue.reap().await.unwrap();
+    assert_eq!(b.queue.remembered("/k").await.unwrap(), Some(first));
+    b.clock.advance(Duration::from_secs(1));
+    b.queue.reap().await.unwrap();
+    assert_eq!(b.queue.remembered("/k").await.unwrap(), None);
+    assert!(matches!(b.queue.insert(other).await.unwrap(), Insertion::Queued(_)));
+}
+
+pub async fn a_full_queue_takes_no_more(b: Bench) {
+    let mut last = b.add().await;
+    for _ in 1..1000 {
+        last = b.add().await;
+    }
+    assert!(b.queue.is_full().await.unwrap());
+    assert!(matches!(b.queue.insert(new_job(&b.env)).await.unwrap(), Insertion::Full));
+    b.queue.cancel(last).await.unwrap();
+    assert!(!b.queue.is_full().await.unwrap());
+    b.add().await;
+    // Running jobs do not wait.
+    b.claim().await.unwrap();
+    b.add().await;
 }
 
 pub async fn repeats_wait_longer_each_time(b: Bench) {
@@ -477,6 +527,8 @@ macro_rules! suite {
             an_attempt_that_fails_by_itself_is_counted_wherever_it_got
             a_job_that_passes_its_deadline_fails
             a_higher_priority_goes_first
+            a_key_queues_one_job
+            a_full_queue_takes_no_more
             repeats_wait_longer_each_time
             a_final_error_is_not_repeated
             cancel_of_a_queued_job_is_immediate

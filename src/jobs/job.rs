@@ -93,6 +93,43 @@ pub struct NewJob {
     pub options: JobOptions,
     pub inputs: BTreeMap<String, Part>,
     pub clip: Clip,
+    pub remember: Option<Remember>,
+}
+
+/// A client's key for a request that it may send again, and what the request said.
+#[derive(Clone, Debug)]
+pub struct Remember {
+    pub key: String,
+    /// SHA-256 of the request, lower-case hex.
+    pub fingerprint: String,
+    /// The answer to the client, as JSON: it is kept with the key.
+    pub answer: fn(&Job) -> String,
+}
+
+/// A key that was given before.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Remembered {
+    pub fingerprint: String,
+    pub answer: String,
+}
+
+/// What became of a job that was to be put into the queue.
+#[derive(Clone, Debug)]
+pub enum Insertion {
+    Queued(Box<Job>),
+    /// Its key was given before; nothing was inserted.
+    Known(Remembered),
+    /// So many jobs wait that no more are taken.
+    Full,
+}
+
+impl Insertion {
+    pub fn queued(self) -> Option<Job> {
+        match self {
+            Insertion::Queued(job) => Some(*job),
+            _ => None,
+        }
+    }
 }
 
 /// Why an attempt ended badly.

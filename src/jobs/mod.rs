@@ -15,7 +15,10 @@ pub mod sqlite;
 pub mod webhooks;
 
 pub use env::{Clock, Env, ManualClock, SystemClock, Timestamp};
-pub use job::{Avatar, AvatarFile, Clip, Event, EventKind, Job, JobError, Losses, NewAvatar, NewJob, Part, State};
+pub use job::{
+    Avatar, AvatarFile, Clip, Event, EventKind, Insertion, Job, JobError, Losses, NewAvatar, NewJob, Part, Remember,
+    Remembered, State,
+};
 pub use options::{JobOptions, OptionsError, Preset};
 pub use queue::{
     Change, Deletion, Figures, Lease, ListFilter, Policy, ProgressReport, Queue, QueueError, Reaped, Repeat, StageTime,

@@ -6,7 +6,7 @@ use std::time::Duration;
 use futures_util::future::BoxFuture;
 use uuid::Uuid;
 
-use super::{Avatar, Event, Job, JobError, Losses, NewAvatar, NewJob, State, Timestamp};
+use super::{Avatar, Event, Insertion, Job, JobError, Losses, NewAvatar, NewJob, Remembered, State, Timestamp};
 
 /// The numbers that rule leases and repeats.
 #[derive(Clone, Debug)]
@@ -21,6 +21,10 @@ pub struct Policy {
     pub backoff_max: Duration,
     /// How long a job is kept after its end; None = for ever.
     pub retention: Option<Duration>,
+    /// So many jobs may wait; more are refused.
+    pub max_queued: u64,
+    /// How long the answer to a client's key is kept.
+    pub remember: Duration,
 }
 
 impl Default for Policy {
@@ -31,6 +35,8 @@ impl Default for Policy {
             backoff: Duration::from_secs(2),
             backoff_max: Duration::from_secs(600),
             retention: None,
+            max_queued: 1000,
+            remember: Duration::from_secs(24 * 3600),
         }
     }
 }
@@ -175,8 +181,12 @@ pub(super) type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
 pub trait Queue: Send + Sync + 'static {
     // The API's side.
 
-    /// Puts a job in, queued, unless its key allows no more.
-    fn insert(&self, job: NewJob) -> Answer<'_, Job>;
+    /// Puts a job in, queued, unless its key was given before or too many wait.
+    fn insert(&self, job: NewJob) -> Answer<'_, Insertion>;
+    /// Whether so many jobs wait that no more are taken.
+    fn is_full(&self) -> Answer<'_, bool>;
+    /// What a key was given for, if it was.
+    fn remembered<'a>(&'a self, key: &'a str) -> Answer<'a, Option<Remembered>>;
     fn get(&self, id: Uuid) -> Answer<'_, Option<Job>>;
     fn list(&self, filter: ListFilter) -> Answer<'_, Vec<Job>>;
     /// queued → canceled, running → canceling; a job that is canceling or canceled stays as it is.

@@ -9,6 +9,7 @@
 //! <data>/renders/             answers of the worker on their way to a client
 //! <data>/tmp/                 uploads on their way in, deletions on their way out; emptied at start
 //! <data>/workers/             a locked file for each live worker process
+//! <data>/ballast              bytes that a deletion may give up on a full disk
 //! ```
 //!
 //! Whatever appears under its name is complete and on the disk: files are written in `tmp`, flushed, and renamed.
@@ -16,6 +17,7 @@
 mod backup;
 mod publish;
 mod serve;
+mod space;
 mod upload;
 
 use std::collections::HashSet;
@@ -34,13 +36,14 @@ pub use upload::{PartWriter, Upload};
 #[derive(Clone, Debug)]
 pub struct Store {
     root: PathBuf,
+    reserve_bytes: u64,
 }
 
 impl Store {
     /// Makes the folders that are missing.
     pub fn open(root: &Path) -> io::Result<Store> {
         fs::create_dir_all(root)?;
-        let store = Store { root: root.canonicalize()? };
+        let store = Store { root: root.canonicalize()?, reserve_bytes: 0 };
         for folder in [store.tmp(), store.jobs(), store.bodies(), store.renders(), store.workers()] {
             fs::create_dir_all(folder)?;
         }
@@ -108,7 +111,7 @@ impl Store {
 
     /// Begins an upload: a folder in `tmp` that vanishes unless it is committed.
     pub fn begin_upload(&self) -> io::Result<Upload> {
-        Upload::begin(self.tmp().join(format!("upload-{}", Uuid::new_v4())))
+        Upload::begin(self.clone(), self.tmp().join(format!("upload-{}", Uuid::new_v4())))
     }
 
     /// Gives the uploaded parts to a job: they appear at once and whole, on the disk.

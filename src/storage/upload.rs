@@ -6,19 +6,24 @@ use std::path::{Path, PathBuf};
 
 use tokio::io::{AsyncWriteExt, BufWriter};
 
+use super::Store;
+
 /// Large writes: each costs a hop to a blocking thread.
 const BUFFER_BYTES: usize = 1 << 20;
+/// The disk is asked for room before each such stretch of a part.
+const LOOK_BYTES: u64 = 16 << 20;
 
 /// A folder of parts that vanishes when it is dropped before it is committed.
 pub struct Upload {
+    store: Store,
     folder: PathBuf,
     committed: bool,
 }
 
 impl Upload {
-    pub(super) fn begin(folder: PathBuf) -> io::Result<Upload> {
+    pub(super) fn begin(store: Store, folder: PathBuf) -> io::Result<Upload> {
         fs::create_dir(&folder)?;
-        Ok(Upload { folder, committed: false })
+        Ok(Upload { store, folder, committed: false })
     }
 
     pub fn path(&self, part: &str) -> PathBuf {
@@ -28,7 +33,8 @@ impl Upload {
     /// Opens a part for writing. `part` is a plain file name of ours, never the client's.
     pub async fn part(&self, part: &str) -> io::Result<PartWriter> {
         let file = tokio::fs::File::create_new(self.path(part)).await?;
-        Ok(PartWriter { file: BufWriter::with_capacity(BUFFER_BYTES, file), bytes: 0 })
+        let file = BufWriter::with_capacity(BUFFER_BYTES, file);
+        Ok(PartWriter { store: self.store.clone(), file, bytes: 0, looked: 0 })
     }
 
     pub(super) fn move_to(mut self, to: &Path) -> io::Result<()> {
@@ -51,12 +57,22 @@ impl Drop for Upload {
 
 /// A part that is being written.
 pub struct PartWriter {
+    store: Store,
     file: BufWriter<tokio::fs::File>,
     bytes: u64,
+    /// Up to here the disk was found to have room.
+    looked: u64,
 }
 
 impl PartWriter {
+    /// An error of kind `StorageFull` where the disk's reserve would be touched.
     pub async fn write(&mut self, chunk: &[u8]) -> io::Result<()> {
+        if self.bytes + chunk.len() as u64 > self.looked {
+            self.looked = self.bytes + LOOK_BYTES;
+            if !self.store.has_room(chunk.len() as u64) {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+        }
         self.file.write_all(chunk).await?;
         self.bytes += chunk.len() as u64;
         Ok(())

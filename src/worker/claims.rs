@@ -8,7 +8,7 @@ use tokio::sync::watch;
 use super::device_thread::DeviceThread;
 use super::owner::Owner;
 use super::runner::Runner;
-use crate::jobs::Queue;
+use crate::jobs::{Job, Lease, Queue, QueueError};
 use crate::storage::Store;
 
 /// The rhythm of a worker.
@@ -55,8 +55,15 @@ impl Worker {
             stall: self.settings.stall,
             shutdown: shutdown.clone(),
         };
+        let mut had_room = true;
         while !*shutdown.borrow_and_update() {
-            match self.queue.claim(self.owner.id()).await {
+            // A fit that fills the disk takes the whole service down: it waits, and so do the jobs.
+            let has_room = self.store.has_room(0);
+            if had_room != has_room {
+                tracing::warn!(reserve_bytes = self.store.reserve_bytes(), has_room, "the disk's reserve");
+                had_room = has_room;
+            }
+            match self.claim_if(has_room).await {
                 Ok(Some((lease, job))) => {
                     runner.run(&lease, &job).await?;
                     continue;
@@ -72,5 +79,9 @@ impl Worker {
         }
         tracing::info!(owner = self.owner.id(), "the worker has ended");
         Ok(())
+    }
+
+    async fn claim_if(&self, has_room: bool) -> Result<Option<(Lease, Job)>, QueueError> {
+        if has_room { self.queue.claim(self.owner.id()).await } else { Ok(None) }
     }
 }

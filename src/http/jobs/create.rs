@@ -1,11 +1,9 @@
 //! `POST /v1/jobs`
 
-use axum::Json;
 use axum::extract::multipart::MultipartRejection;
 use axum::extract::{Multipart, State};
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-
 use uuid::Uuid;
 
 use super::upload::{Received, UploadForm, receive};
@@ -13,28 +11,35 @@ use super::view::JobView;
 use crate::http::access::Caller;
 use crate::http::app::{App, InspectError, Limits};
 use crate::http::error::{ApiError, Problem};
-use crate::jobs::{Clip, Job, NewJob, QueueError};
+use crate::jobs::{Clip, Insertion, Job, NewJob, QueueError, Remember, Remembered};
 
 /// Upload a clip and queue the making of its avatar.
 ///
 /// The parts stream to the disk and are checked against each other before the answer; the order of parts is free.
+///
+/// With an `Idempotency-Key`, sending the same request again within 24 hours gives the first answer again and no second
+/// job, however often and whenever it is sent.
 #[utoipa::path(
     post, path = "/v1/jobs", tag = "jobs",
+    params(("idempotency-key" = Option<String>, Header, description = "A name of the client's own for this request")),
     request_body(content = UploadForm, content_type = "multipart/form-data"),
     responses(
         (status = 202, description = "The job is queued", body = JobView,
-            headers(("location" = String, description = "Where to ask for the job"))),
+            headers(
+                ("location" = String, description = "Where to ask for the job"),
+                ("idempotency-replayed" = String, description = "true where this is the answer to an earlier request"))),
         (status = 400, description = "A part is missing, unknown or sent twice, or the options cannot be followed",
             body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "Larger than the server takes", body = Problem,
             content_type = "application/problem+json"),
         (status = 415, description = "Not multipart/form-data", body = Problem,
             content_type = "application/problem+json"),
-        (status = 422, description = "A part cannot be used, or the parts do not belong together", body = Problem,
+        (status = 422, description = "A part cannot be used, the parts do not belong together, or the idempotency key was \
+            given with another request", body = Problem,
             content_type = "application/problem+json"),
-        (status = 429, description = "More than the caller's key allows", body = Problem,
-            content_type = "application/problem+json"),
-        (status = 507, description = "The server's disk is full", body = Problem,
+        (status = 429, description = "So many jobs wait that no more are taken, or more than the caller's key allows", body = Problem,
+            content_type = "application/problem+json", headers(("retry-after" = u32, description = "Seconds"))),
+        (status = 507, description = "The server's disk has no room but its reserve", body = Problem,
             content_type = "application/problem+json"),
     )
 )]
@@ -46,16 +51,95 @@ pub(super) async fn create(
 ) -> Result<Response, ApiError> {
     let limits = allowance(&app, &caller).await?;
     refuse_by_length(&headers, limits.upload_bytes)?;
+    let key = idempotency_key(&headers, &caller)?;
+    refuse_without_room(&app, &headers, key.as_deref()).await?;
     let form = form.map_err(|e| match e {
         MultipartRejection::InvalidBoundary(e) => ApiError::MediaType(e.body_text()),
         other => ApiError::MediaType(other.body_text()),
     })?;
-    let received = receive(form, &app.store, &limits).await?;
+    let received = receive(form, &app.store, &limits, key.is_some()).await?;
+    let remember = key.map(|key| Remember { key, fingerprint: received.fingerprint(), answer });
+    // Requests under one key go one after the other: the first makes the job, the others find its answer.
+    let mut _lock = None;
+    if let Some(remember) = &remember {
+        _lock = Some(app.keys.lock(&remember.key).await);
+        if let Some(known) = app.queue.remembered(&remember.key).await? {
+            return replay(remember, known);
+        }
+    }
     let (received, clip) = inspect(&app, received).await?;
-    let job = accept(app, caller.key_id(), received, clip).await?;
-    let location = format!("/v1/jobs/{}", job.id);
-    tracing::info!(job = %job.id, "accepted");
-    Ok((StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(JobView::from(job))).into_response())
+    match accept(app, caller.key_id(), received, clip, remember.clone()).await? {
+        Insertion::Queued(job) => {
+            tracing::info!(job = %job.id, "accepted");
+            accepted(answer(&job))
+        }
+        Insertion::Known(known) => match &remember {
+            Some(remember) => replay(remember, known),
+            None => Err(ApiError::internal(anyhow::anyhow!("a request without a key was known"))),
+        },
+        Insertion::Full => Err(ApiError::QueueFull),
+    }
+}
+
+/// The body of the answer: a repeated request gets the very same.
+fn answer(job: &Job) -> String {
+    serde_json::to_string(&JobView::from(job.clone())).expect("a job is JSON")
+}
+
+fn accepted(answer: String) -> Result<Response, ApiError> {
+    let job: Accepted = serde_json::from_str(&answer).map_err(ApiError::internal)?;
+    let headers =
+        [(header::LOCATION, format!("/v1/jobs/{}", job.id)), (header::CONTENT_TYPE, "application/json".into())];
+    Ok((StatusCode::ACCEPTED, headers, answer).into_response())
+}
+
+#[derive(serde::Deserialize)]
+struct Accepted {
+    id: Uuid,
+}
+
+fn replay(remember: &Remember, known: Remembered) -> Result<Response, ApiError> {
+    if known.fingerprint != remember.fingerprint {
+        return Err(ApiError::KeyReused);
+    }
+    let mut response = accepted(known.answer)?;
+    response.headers_mut().insert("idempotency-replayed", HeaderValue::from_static("true"));
+    Ok(response)
+}
+
+/// The client's key as it is kept: each of the service's keys has names of its own.
+fn idempotency_key(headers: &HeaderMap, caller: &Caller) -> Result<Option<String>, ApiError> {
+    let Some(value) = headers.get("idempotency-key") else { return Ok(None) };
+    match value.to_str() {
+        Ok(key) if (1..=255).contains(&key.len()) => Ok(Some(match caller.key_id() {
+            Some(owner) => format!("{owner}/{key}"),
+            None => format!("/{key}"),
+        })),
+        _ => Err(ApiError::Malformed {
+            detail: "the idempotency key cannot be used".into(),
+            part: Some("idempotency-key".into()),
+            expected: Some("1 to 255 visible characters".into()),
+        }),
+    }
+}
+
+/// Before the body is read: is there room on the disk and in the queue? A repeated request needs none in the queue.
+async fn refuse_without_room(app: &App, headers: &HeaderMap, key: Option<&str>) -> Result<(), ApiError> {
+    let (store, expected) = (&app.store, content_length(headers).unwrap_or(0));
+    if !store.has_room(expected) {
+        return Err(ApiError::DiskReserve { free_bytes: store.free_bytes()?, reserve_bytes: store.reserve_bytes() });
+    }
+    if !app.queue.is_full().await? {
+        return Ok(());
+    }
+    match key {
+        Some(key) if app.queue.remembered(key).await?.is_some() => Ok(()),
+        _ => Err(ApiError::QueueFull),
+    }
+}
+
+fn content_length(headers: &HeaderMap) -> Option<u64> {
+    headers.get(header::CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
 }
 
 /// The server's limits, narrowed to what the caller's key may still keep. The transaction that puts the job in decides;
@@ -76,8 +160,7 @@ async fn allowance(app: &App, caller: &Caller) -> Result<Limits, ApiError> {
 
 /// A client that tells the size beforehand need not send it all to learn that it is too much.
 fn refuse_by_length(headers: &HeaderMap, limit_bytes: u64) -> Result<(), ApiError> {
-    let length = headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse::<u64>().ok());
-    match length {
+    match content_length(headers) {
         // The boundaries and headers of the parts come on top.
         Some(bytes) if bytes > limit_bytes.saturating_add(64 << 10) => {
             Err(ApiError::TooLarge { detail: format!("the upload has {bytes} bytes"), part: None, limit_bytes })
@@ -106,14 +189,20 @@ async fn inspect(app: &App, received: Received) -> Result<(Received, Clip), ApiE
 }
 
 /// Files first, then the row: a row's files are always there. Runs to its end even if the client goes away.
-async fn accept(app: App, key: Option<Uuid>, received: Received, clip: Clip) -> Result<Job, ApiError> {
+async fn accept(
+    app: App,
+    key: Option<Uuid>,
+    received: Received,
+    clip: Clip,
+    remember: Option<Remember>,
+) -> Result<Insertion, ApiError> {
     let task = tokio::spawn(async move {
         let id = app.env.new_id();
-        let Received { upload, inputs, options } = received;
+        let Received { upload, inputs, options, .. } = received;
         let store = app.store.clone();
         tokio::task::spawn_blocking(move || store.commit_upload(upload, id)).await.map_err(ApiError::internal)??;
-        let queued = app.queue.insert(NewJob { id, key, options, inputs, clip }).await;
-        if queued.is_err() {
+        let queued = app.queue.insert(NewJob { id, key, options, inputs, clip, remember }).await;
+        if !matches!(queued, Ok(Insertion::Queued(_))) {
             let store = app.store.clone();
             tokio::task::spawn_blocking(move || store.delete_job(id)).await.map_err(ApiError::internal)??;
         }

@@ -4,6 +4,7 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use uuid::Uuid;
 
 use super::view::JobView;
 use crate::http::App;
@@ -97,15 +98,34 @@ pub(super) async fn retry(State(app): State<App>, Path(id): Path<String>) -> Res
 )]
 pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
     let job = parse_id("job", &id)?;
-    match app.queue.delete(job).await? {
+    match delete_row(&app, job).await? {
         Deletion::Unknown => Err(unknown("job", id)),
         Deletion::Pending => Ok(StatusCode::ACCEPTED),
         Deletion::Gone => {
             // What a crash leaves behind here, the next start removes.
             let store = app.store.clone();
-            tokio::task::spawn_blocking(move || store.delete_job(job)).await.map_err(ApiError::internal)??;
+            let removed = tokio::task::spawn_blocking(move || {
+                store.delete_job(job)?;
+                if let Err(error) = store.load_ballast() {
+                    tracing::warn!(%error, "no room is kept for deletions");
+                }
+                std::io::Result::Ok(())
+            });
+            removed.await.map_err(ApiError::internal)??;
             Ok(StatusCode::NO_CONTENT)
         }
+    }
+}
+
+/// On a disk without a byte left the database cannot even write that something goes: the ballast makes room for that.
+async fn delete_row(app: &App, job: Uuid) -> Result<Deletion, ApiError> {
+    match app.queue.delete(job).await.map_err(ApiError::from) {
+        Err(ApiError::DiskFull) => {
+            let store = app.store.clone();
+            tokio::task::spawn_blocking(move || store.drop_ballast()).await.map_err(ApiError::internal)??;
+            Ok(app.queue.delete(job).await?)
+        }
+        other => other,
     }
 }
 

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use axum::extract::Multipart;
 use axum::extract::multipart::{Field, MultipartError};
+use sha2::{Digest, Sha256};
 
 use crate::http::app::{Limits, UploadedFiles};
 use crate::http::error::ApiError;
@@ -59,9 +60,17 @@ pub(super) struct Received {
     pub upload: Upload,
     pub inputs: BTreeMap<String, Part>,
     pub options: JobOptions,
+    /// SHA-256 of each part, where it was asked for.
+    hashes: BTreeMap<String, String>,
 }
 
 impl Received {
+    /// SHA-256 over the parts' names and contents and the options, lower-case hex.
+    pub fn fingerprint(&self) -> String {
+        let said = serde_json::json!({ "parts": self.hashes, "options": self.options });
+        hex(&Sha256::digest(said.to_string()))
+    }
+
     pub fn files(&self) -> UploadedFiles {
         let optional = |part: &str| self.inputs.contains_key(part).then(|| self.upload.path(part));
         UploadedFiles {
@@ -77,8 +86,14 @@ impl Received {
 /// How long the rest of a refused body is read, so that clients which read only when they have sent all see why.
 const DISCARD: Duration = Duration::from_secs(5);
 
-pub(super) async fn receive(mut form: Multipart, store: &Store, limits: &Limits) -> Result<Received, ApiError> {
-    let received = receive_parts(&mut form, store, limits).await;
+/// With `hash`, the parts are hashed on their way.
+pub(super) async fn receive(
+    mut form: Multipart,
+    store: &Store,
+    limits: &Limits,
+    hash: bool,
+) -> Result<Received, ApiError> {
+    let received = receive_parts(&mut form, store, limits, hash).await;
     if received.is_err() {
         let rest = async { while let Ok(Some(_)) = form.next_field().await {} };
         // Whoever sends for longer finds the connection closed.
@@ -87,7 +102,8 @@ pub(super) async fn receive(mut form: Multipart, store: &Store, limits: &Limits)
     received
 }
 
-async fn receive_parts(form: &mut Multipart, store: &Store, limits: &Limits) -> Result<Received, ApiError> {
+async fn receive_parts(form: &mut Multipart, store: &Store, limits: &Limits, hash: bool) -> Result<Received, ApiError> {
+    let mut hashes = BTreeMap::new();
     let upload = store.begin_upload()?;
     let mut inputs = BTreeMap::new();
     let mut options = None;
@@ -105,13 +121,17 @@ async fn receive_parts(form: &mut Multipart, store: &Store, limits: &Limits) -> 
         let Some(kind) = KINDS.iter().find(|kind| kind.name == name) else {
             return Err(wrong_part(format!("there is no part {name:?}"), &name));
         };
-        let bytes = write_part(field, &upload, kind, &mut budget).await?;
+        let mut hasher = hash.then(Sha256::new);
+        let bytes = write_part(field, &upload, kind, &mut budget, hasher.as_mut()).await?;
+        if let Some(hasher) = hasher {
+            hashes.insert(name.clone(), hex(&hasher.finalize()));
+        }
         inputs.insert(name, Part { bytes });
     }
     if let Some(missing) = KINDS.iter().find(|kind| kind.required && !inputs.contains_key(kind.name)) {
         return Err(wrong_part(format!("the part {:?} is missing", missing.name), missing.name));
     }
-    Ok(Received { upload, inputs, options: options.unwrap_or_default() })
+    Ok(Received { upload, inputs, options: options.unwrap_or_default(), hashes })
 }
 
 /// What an upload may still bring.
@@ -134,10 +154,19 @@ impl Budget {
     }
 }
 
-async fn write_part(mut field: Field<'_>, upload: &Upload, kind: &Kind, budget: &mut Budget) -> Result<u64, ApiError> {
+async fn write_part(
+    mut field: Field<'_>,
+    upload: &Upload,
+    kind: &Kind,
+    budget: &mut Budget,
+    mut hasher: Option<&mut Sha256>,
+) -> Result<u64, ApiError> {
     let mut file = upload.part(kind.name).await?;
     while let Some(chunk) = field.chunk().await.map_err(form_error)? {
         budget.take(&chunk, kind.name, file.bytes() + chunk.len() as u64, kind.limit_bytes)?;
+        if let Some(hasher) = &mut hasher {
+            hasher.update(&chunk);
+        }
         file.write(&chunk).await?;
     }
     Ok(file.finish().await?)
@@ -150,6 +179,10 @@ async fn read_small(mut field: Field<'_>, budget: &mut Budget) -> Result<Vec<u8>
         content.extend_from_slice(&chunk);
     }
     Ok(content)
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn wrong_part(detail: String, part: &str) -> ApiError {

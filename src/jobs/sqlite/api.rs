@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use sqlx::Row;
+use sqlx::{Row, SqliteConnection};
 use uuid::Uuid;
 
 use super::super::{
-    Avatar, Change, Deletion, Event, Figures, Job, ListFilter, NewJob, QueueError, StageTime, State, Timestamp,
+    Avatar, Change, Deletion, Event, Figures, Insertion, Job, ListFilter, NewJob, QueueError, Remember, Remembered,
+    StageTime, State, Timestamp,
 };
 use super::SqliteQueue;
 use super::rows::{self, add_state_event, select_jobs, to_json};
@@ -16,9 +17,17 @@ use super::rows::{self, add_state_event, select_jobs, to_json};
 const RECENT: Duration = Duration::from_secs(86_400);
 
 impl SqliteQueue {
-    pub(super) async fn insert_job(&self, new: NewJob) -> Result<Job, QueueError> {
+    pub(super) async fn insert_job(&self, new: NewJob) -> Result<Insertion, QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
+        if let Some(remember) = &new.remember
+            && let Some(known) = rows::remembered(&mut tx, &remember.key).await?
+        {
+            return Ok(Insertion::Known(known));
+        }
+        if self.is_full_in(&mut tx).await? {
+            return Ok(Insertion::Full);
+        }
         if let Some(key) = new.key {
             self.check_quota(&mut tx, key, new.inputs.values().map(|part| part.bytes).sum()).await?;
         }
@@ -39,8 +48,31 @@ impl SqliteQueue {
         .await?;
         let job = rows::read(&mut tx, new.id).await?.ok_or(sqlx::Error::RowNotFound)?;
         add_state_event(&mut tx, &job).await?;
+        if let Some(Remember { key, fingerprint, answer }) = new.remember {
+            sqlx::query("INSERT INTO idempotency_keys (key, fingerprint, answer, created_at) VALUES (?, ?, ?, ?)")
+                .bind(key)
+                .bind(fingerprint)
+                .bind(answer(&job))
+                .bind(now.0)
+                .execute(&mut *tx)
+                .await?;
+        }
         tx.commit().await?;
-        Ok(job)
+        Ok(Insertion::Queued(Box::new(job)))
+    }
+
+    pub(super) async fn looks_full(&self) -> Result<bool, QueueError> {
+        self.is_full_in(&mut *self.readers.acquire().await?).await
+    }
+
+    async fn is_full_in(&self, connection: &mut SqliteConnection) -> Result<bool, QueueError> {
+        let queued: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued'").fetch_one(connection).await?;
+        Ok(queued as u64 >= self.policy.max_queued)
+    }
+
+    pub(super) async fn look_up(&self, key: &str) -> Result<Option<Remembered>, QueueError> {
+        rows::remembered(&mut *self.readers.acquire().await?, key).await
     }
 
     pub(super) async fn get_job(&self, id: Uuid) -> Result<Option<Job>, QueueError> {

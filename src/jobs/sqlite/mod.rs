@@ -24,8 +24,8 @@ use sqlx::{Sqlite, SqlitePool, Transaction};
 use uuid::Uuid;
 
 use super::{
-    Avatar, Change, Deletion, Env, Event, Figures, Job, JobError, Lease, ListFilter, NewAvatar, NewJob, Policy,
-    ProgressReport, Queue, QueueError, Reaped, Repeat, StageTime, Standing, State,
+    Avatar, Change, Deletion, Env, Event, Figures, Insertion, Job, JobError, Lease, ListFilter, NewAvatar, NewJob,
+    Policy, ProgressReport, Queue, QueueError, Reaped, Remembered, Repeat, StageTime, Standing, State,
 };
 
 /// How long a writer waits for another process's transaction.
@@ -66,13 +66,29 @@ impl SqliteQueue {
     }
 
     async fn write(&self) -> Result<Tx, QueueError> {
-        Ok(self.writer.begin_with("BEGIN IMMEDIATE").await?)
+        match self.writer.begin_with("BEGIN IMMEDIATE").await {
+            // A full disk makes SQLite itself roll back, which sqlx does not learn: to it the connection is in that
+            // transaction for ever. A new connection knows better.
+            Err(sqlx::Error::InvalidSavePointStatement) => {
+                self.writer.acquire().await?.close().await?;
+                Ok(self.writer.begin_with("BEGIN IMMEDIATE").await?)
+            }
+            begun => Ok(begun?),
+        }
     }
 }
 
 impl Queue for SqliteQueue {
-    fn insert(&self, job: NewJob) -> Answer<'_, Job> {
+    fn insert(&self, job: NewJob) -> Answer<'_, Insertion> {
         Box::pin(self.insert_job(job))
+    }
+
+    fn is_full(&self) -> Answer<'_, bool> {
+        Box::pin(self.looks_full())
+    }
+
+    fn remembered<'a>(&'a self, key: &'a str) -> Answer<'a, Option<Remembered>> {
+        Box::pin(self.look_up(key))
     }
 
     fn get(&self, id: Uuid) -> Answer<'_, Option<Job>> {

@@ -9,14 +9,17 @@ use super::{SqliteQueue, Tx};
 impl SqliteQueue {
     pub(super) async fn reap_all(&self) -> Result<Reaped, QueueError> {
         let now = self.env.now().0;
+        let forgotten = now - self.policy.remember.as_millis() as i64;
         // Most looks find nothing: they must not take the writer's lock.
         let work: bool = sqlx::query_scalar(
             "SELECT EXISTS (SELECT 1 FROM jobs WHERE lease_until <= ?1) \
              OR EXISTS (SELECT 1 FROM jobs WHERE deadline_at <= ?1 AND finished_at IS NULL AND state != 'canceling') \
              OR EXISTS (SELECT 1 FROM jobs WHERE expires_at <= ?1 AND state != 'expired') \
-             OR EXISTS (SELECT 1 FROM jobs WHERE delete_requested_at IS NOT NULL AND owner IS NULL)",
+             OR EXISTS (SELECT 1 FROM jobs WHERE delete_requested_at IS NOT NULL AND owner IS NULL) \
+             OR EXISTS (SELECT 1 FROM idempotency_keys WHERE created_at <= ?2)",
         )
         .bind(now)
+        .bind(forgotten)
         .fetch_one(&self.readers)
         .await?;
         if !work {
@@ -28,6 +31,7 @@ impl SqliteQueue {
         let silent = silent.iter().map(rows::job).collect::<Result<Vec<Job>, _>>()?;
         let reclaimed = self.take_back(&mut tx, &silent, "its worker was silent for longer than the lease").await?;
         let expired = self.expire(&mut tx, now).await?;
+        sqlx::query("DELETE FROM idempotency_keys WHERE created_at <= ?").bind(forgotten).execute(&mut *tx).await?;
         let deleted: Vec<String> =
             sqlx::query_scalar("DELETE FROM jobs WHERE delete_requested_at IS NOT NULL AND owner IS NULL RETURNING id")
                 .fetch_all(&mut *tx)

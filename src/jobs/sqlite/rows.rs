@@ -6,7 +6,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 use uuid::Uuid;
 
-use super::super::{AvatarFile, Event, EventKind, Job, QueueError, State, Timestamp};
+use super::super::{AvatarFile, Event, EventKind, Job, QueueError, Remembered, State, Timestamp};
 
 /// `select_jobs!("WHERE …")`: all columns of jobs `j` and the place in the queue.
 macro_rules! select_jobs {
@@ -122,6 +122,15 @@ pub(super) fn to_json(value: &impl serde::Serialize) -> String {
 pub(super) async fn read(connection: &mut SqliteConnection, job_id: Uuid) -> Result<Option<Job>, QueueError> {
     let row = sqlx::query(select_jobs!("WHERE j.id = ?")).bind(job_id.to_string()).fetch_optional(connection).await?;
     row.as_ref().map(job).transpose()
+}
+
+pub(super) async fn remembered(connection: &mut SqliteConnection, key: &str) -> Result<Option<Remembered>, QueueError> {
+    let row = sqlx::query("SELECT fingerprint, answer FROM idempotency_keys WHERE key = ?")
+        .bind(key)
+        .fetch_optional(connection)
+        .await?;
+    row.map(|row| Ok(Remembered { fingerprint: row.try_get("fingerprint")?, answer: row.try_get("answer")? }))
+        .transpose()
 }
 
 pub(super) async fn add_event(

@@ -24,7 +24,7 @@ async fn a_reopened_file_holds_what_was_acknowledged() {
     let path = folder.path().join("effigy.db");
     let env = Env::system();
     let first = SqliteQueue::open(&path, env.clone(), Policy::default()).await.unwrap();
-    let job = first.insert(new_job(&env)).await.unwrap();
+    let job = first.insert(new_job(&env)).await.unwrap().queued().unwrap();
     first.close().await;
     let second = SqliteQueue::open(&path, env, Policy::default()).await.unwrap();
     assert_eq!(second.get(job.id).await.unwrap().unwrap().created_at, job.created_at);
@@ -41,7 +41,7 @@ async fn two_processes_share_one_file() {
     for queue in [&one, &two] {
         for _ in 0..10 {
             let (queue, env) = (queue.clone(), env.clone());
-            tasks.push(tokio::spawn(async move { queue.insert(new_job(&env)).await.unwrap().id }));
+            tasks.push(tokio::spawn(async move { queue.insert(new_job(&env)).await.unwrap().queued().unwrap().id }));
         }
     }
     for task in tasks {
@@ -53,7 +53,7 @@ async fn two_processes_share_one_file() {
 #[tokio::test]
 async fn the_schema_refuses_states_without_their_times() {
     let bench = open().await;
-    let job = bench.queue.insert(new_job(&bench.env)).await.unwrap();
+    let job = bench.queue.insert(new_job(&bench.env)).await.unwrap().queued().unwrap();
     let folder = bench.keep.downcast_ref::<tempfile::TempDir>().unwrap();
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("effigy.db"));
     let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
@@ -77,7 +77,7 @@ async fn the_schema_refuses_states_without_their_times() {
 async fn readers_never_wait_for_a_writer() {
     use sqlx::Connection;
     let bench = open().await;
-    let job = bench.queue.insert(new_job(&bench.env)).await.unwrap();
+    let job = bench.queue.insert(new_job(&bench.env)).await.unwrap().queued().unwrap();
     let folder = bench.keep.downcast_ref::<tempfile::TempDir>().unwrap();
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("effigy.db"));
     let mut other = sqlx::SqliteConnection::connect_with(&options).await.unwrap();

@@ -85,7 +85,7 @@ impl Bench {
         self.store.commit_upload(upload, id).unwrap();
         let inputs = BTreeMap::from([("video".to_string(), Part { bytes: 4 })]);
         let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0 };
-        self.queue.insert(NewJob { id, key: None, options, inputs, clip }).await.unwrap();
+        self.queue.insert(NewJob { id, key: None, options, inputs, clip, remember: None }).await.unwrap();
         id
     }
 

@@ -13,7 +13,7 @@ const SECRET: [u8; 32] = [7; 32];
 impl Bench {
     async fn guarded(openness: Openness, origins: &[&str]) -> (Bench, Arc<ManualClock>) {
         let clock = ManualClock::new(Timestamp(1_700_000_000_000));
-        let mut bench = Bench::with(Limits::default(), Env::new(clock.clone(), 1)).await;
+        let mut bench = Bench::with(Limits::default(), Policy::default(), 0, Env::new(clock.clone(), 1)).await;
         let origins = origins.iter().map(ToString::to_string).collect();
         let access = Access::new(openness, bench.keys.clone(), origins, SECRET.to_vec());
         bench.app = bench.app.clone().with_access(access);

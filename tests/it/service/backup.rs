@@ -28,7 +28,7 @@ impl Bench {
         std::fs::write(self.store.inputs(id).join("video"), b"clip").unwrap();
         let inputs = BTreeMap::from([("video".to_string(), Part { bytes: 4 })]);
         let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0 };
-        let new = NewJob { id, key: None, options: JobOptions::default(), inputs, clip };
+        let new = NewJob { id, key: None, options: JobOptions::default(), inputs, clip, remember: None };
         self.queue.insert(new).await.unwrap();
         id
     }

@@ -7,7 +7,7 @@ use super::*;
 #[tokio::test]
 async fn the_figures_tell_waits_failures_and_what_is_undelivered() {
     let clock = effigy::jobs::ManualClock::new(effigy::jobs::Timestamp(1_700_000_000_000));
-    let bench = Bench::with(Limits::default(), Env::new(clock.clone(), 1)).await;
+    let bench = Bench::with(Limits::default(), Policy::default(), 0, Env::new(clock.clone(), 1)).await;
     assert_eq!(bench.queue.figures().await.unwrap(), effigy::jobs::Figures::default());
     bench.add_job().await;
     bench.add_job().await;

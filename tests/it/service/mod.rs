@@ -5,6 +5,7 @@ mod avatars;
 mod backup;
 mod events;
 mod jobs;
+mod limits;
 mod openapi;
 mod page;
 mod process;
@@ -101,16 +102,16 @@ impl Bench {
     }
 
     async fn with_limits(limits: Limits) -> Bench {
-        Self::with(limits, Env::system()).await
+        Self::with(limits, Policy::default(), 0, Env::system()).await
     }
 
-    async fn with(limits: Limits, env: Env) -> Bench {
+    async fn with(limits: Limits, policy: Policy, reserve_bytes: u64, env: Env) -> Bench {
         effigy::webhooks::install_cryptography();
         let folder = tempfile::tempdir().unwrap();
-        let store = Arc::new(Store::open(folder.path()).unwrap());
+        let store = Arc::new(Store::open(folder.path()).unwrap().with_reserve(reserve_bytes));
         // The API only asks whether the body is there.
         std::fs::write(store.bodies().join("default.body.npz"), b"").unwrap();
-        let policy = Policy { backoff: std::time::Duration::from_millis(10), ..Policy::default() };
+        let policy = Policy { backoff: std::time::Duration::from_millis(10), ..policy };
         let keys = Arc::new(SqliteQueue::open(&store.database(), env.clone(), policy).await.unwrap());
         let queue: Arc<dyn Queue> = keys.clone();
         let draws =
@@ -161,7 +162,8 @@ impl Bench {
         std::fs::create_dir_all(self.store.inputs(id)).unwrap();
         let inputs = BTreeMap::from([("video".to_string(), Part { bytes: 4 })]);
         let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0 };
-        self.queue.insert(NewJob { id, key, options: JobOptions::default(), inputs, clip }).await.unwrap();
+        let new = NewJob { id, key, options: JobOptions::default(), inputs, clip, remember: None };
+        self.queue.insert(new).await.unwrap().queued().unwrap();
         id
     }
 

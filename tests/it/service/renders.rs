@@ -39,7 +39,8 @@ async fn publish(data: &std::path::Path) -> String {
     let queue = SqliteQueue::open(&store.database(), env.clone(), Policy::default()).await.unwrap();
     let id = env.new_id();
     let clip = Clip { frames: 6, width: 64, height: 64, fps: 30.0 };
-    let new = NewJob { id, key: None, options: JobOptions::default(), inputs: BTreeMap::new(), clip };
+    let options = JobOptions::default();
+    let new = NewJob { id, key: None, options, inputs: BTreeMap::new(), clip, remember: None };
     queue.insert(new).await.unwrap();
     let (lease, _) = queue.claim("tests").await.unwrap().unwrap();
     let folder = store.results(id, lease.epoch);

@@ -61,7 +61,7 @@ impl Receiver {
 impl Bench {
     async fn telling(private: bool) -> (Bench, Arc<ManualClock>) {
         let clock = ManualClock::new(Timestamp(1_700_000_000_000));
-        let mut bench = Bench::with(Limits::default(), Env::new(clock.clone(), 1)).await;
+        let mut bench = Bench::with(Limits::default(), Policy::default(), 0, Env::new(clock.clone(), 1)).await;
         bench.app = bench.app.clone().with_webhooks(bench.keys.clone(), private);
         bench.router = effigy::http::router(bench.app.clone());
         (bench, clock)
