@@ -17,7 +17,7 @@ test: setup
 results: body
 	"$(EFFIGY)" study all
 
-## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, Node.js).
+## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, Node.js, CA certificates).
 setup:
 	scripts/setup.sh
 

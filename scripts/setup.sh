@@ -14,6 +14,8 @@ need node nodejs
 need npm npm
 need python3 python3
 python3 -m pip --version >/dev/null 2>&1 || missing+=(python3-pip)
+# The client for webhooks, which the tests use too, wants them.
+[ -s /etc/ssl/certs/ca-certificates.crt ] || missing+=(ca-certificates)
 ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1' || missing+=(libvulkan1)
 drivers=$(find /usr/share/vulkan/icd.d /etc/vulkan/icd.d /usr/local -name '*icd*.json' 2>/dev/null | head -1 || true)
 [ -n "$drivers" ] || missing+=(mesa-vulkan-drivers)

@@ -1,6 +1,7 @@
 // One face an invocation: grad_face_colours += sum of grad_image over the pixels that the face owns.
 #import shared/linear_index
 #import shared/hard_triangle
+#import shared/owned_pixels
 
 @group(0) @binding(0) var<uniform> params: HardParams;
 @group(0) @binding(1) var<storage, read> view: array<f32>;
@@ -19,13 +20,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     var sum = vec3<f32>(0.0);
     var cursor = vec2<i32>(box.x0, box.y0);
     loop {
-        // The search for the face's next pixel is cheap, and ends for all lanes of a subgroup before the rest begins.
-        var at = vec2<i32>(-1);
-        while cursor.y <= box.y1 && at.x < 0 {
-            let owned = pix_to_face[u32(cursor.y) * params.width + u32(cursor.x)] == i32(f);
-            at = select(vec2<i32>(-1), cursor, owned);
-            cursor = next_in(box, cursor);
-        }
+        let at = next_owned(f, box, &cursor);
         if at.x < 0 {
             break;
         }

@@ -128,7 +128,7 @@ fn disk(data: &Path) -> Check {
     if let Err(error) = store.begin_upload() {
         return Check::failed("disk", format!("{} cannot be written: {error}", data.display()), mend);
     }
-    match free_bytes(store.root()) {
+    match store.free_bytes() {
         Err(error) => Check::failed("disk", format!("{}: {error}", data.display()), mend),
         Ok(free) => {
             let found = format!("{:.1} GiB free in {}", free as f64 / (1u64 << 30) as f64, data.display());
@@ -140,25 +140,6 @@ fn disk(data: &Path) -> Check {
             Check::ok("disk", found)
         }
     }
-}
-
-/// Free on a folder's disk, for this process.
-#[cfg(unix)]
-fn free_bytes(folder: &Path) -> std::io::Result<u64> {
-    use std::os::unix::ffi::OsStrExt;
-    let path = std::ffi::CString::new(folder.as_os_str().as_bytes())?;
-    // SAFETY: an all-zero statvfs is a valid value of numbers, which the call overwrites.
-    let mut found: libc::statvfs = unsafe { std::mem::zeroed() };
-    // SAFETY: both pointers are to live values, the path ends with a zero.
-    if unsafe { libc::statvfs(path.as_ptr(), &mut found) } != 0 {
-        return Err(std::io::Error::last_os_error());
-    }
-    Ok(found.f_bavail.saturating_mul(found.f_frsize))
-}
-
-#[cfg(not(unix))]
-fn free_bytes(_folder: &Path) -> std::io::Result<u64> {
-    Ok(u64::MAX)
 }
 
 fn body(data: &Path) -> Check {

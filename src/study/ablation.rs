@@ -1,12 +1,14 @@
 //! What is better than the paper, each part against its absence.
 
+use std::time::Instant;
+
 use anyhow::{Context as _, Result};
 
-use super::fitting::Clip;
+use super::person::{Fitted, Person, diffused, step_directly};
 use super::{Context, Report, Study, Table, Verdict};
-use crate::eval::{Summary, SynthOptions};
+use crate::eval::{Subject, Summary, SynthOptions};
 use crate::fit::FitConfig;
-use crate::fit::config::{DIRECT_OFFSET_RATE, FrameSampling, Phase, Preconditioner, SilhouetteGradient};
+use crate::fit::config::{FrameSampling, Preconditioner, SilhouetteGradient};
 
 pub const STUDY: Study = Study {
     name: "ablation",
@@ -45,7 +47,7 @@ const CHANGES: &[Change] = &[
     Change { name: "standard", apply: |_| {} },
     Change { name: "NMR's silhouette gradient", apply: |config| config.silhouette_gradient = SilhouetteGradient::Nmr },
     Change { name: "plain steps of D", apply: |config| step_directly(config, |_| Preconditioner::None) },
-    Change { name: "steps of D along the diffused gradient", apply: |config| step_directly(config, diffusion) },
+    Change { name: "steps of D along the diffused gradient", apply: |config| step_directly(config, diffused) },
     Change { name: "face colours by gradient alone", apply: |config| config.solve_face_colours = false },
     Change { name: "full resolution throughout", apply: full_resolution },
     Change { name: "every frame as often", apply: |config| config.frame_sampling = FrameSampling::Uniform },
@@ -53,16 +55,6 @@ const CHANGES: &[Change] = &[
     Change { name: "no soft image", apply: |config| no_soft_image(config) },
     Change { name: "no prior on motion", apply: |config| no_motion(config) },
 ];
-
-fn step_directly(config: &mut FitConfig, preconditioner: fn(&Phase) -> Preconditioner) {
-    config.geometry.phases.iter_mut().for_each(|phase| phase.preconditioner = preconditioner(phase));
-    config.rates.offsets = DIRECT_OFFSET_RATE;
-}
-
-/// As smooth as served best: less at full resolution.
-fn diffusion(phase: &Phase) -> Preconditioner {
-    Preconditioner::Diffusion { pairs: if phase.level == 0 { 4 } else { 10 } }
-}
 
 fn full_resolution(config: &mut FitConfig) {
     let fine = config.geometry.phases.last().expect("standard has phases").clone();
@@ -117,7 +109,11 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
         truths: 4,
         ..SynthOptions::default()
     };
-    let clip = Clip::open(context, &context.clip(&options)?)?;
+    let person = Person::new(context, &options)?;
+    (context.say)("finding poses and shape");
+    let start = person.start(&FitConfig::standard(context.seed))?;
+    let truth = Subject::open(&person.folder)?;
+    let clip = Clip { context, settings, person, start, truth };
     let mut table = Table::new(
         "One change at a time",
         "standard, but",
@@ -134,12 +130,9 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
     for change in CHANGES {
         let mut config = FitConfig::standard(context.seed);
         (change.apply)(&mut config);
-        rows.push((change.name, fit(context, &clip, config, change.name, settings, &mut table)?));
+        rows.push((change.name, clip.fit(config, change.name, &mut table)?));
     }
-    rows.push((
-        "paper",
-        fit(context, &clip, FitConfig::paper(context.seed), "paper (all of it)", settings, &mut table)?,
-    ));
+    rows.push(("paper", clip.fit(FitConfig::paper(context.seed), "paper (all of it)", &mut table)?));
     let verdicts = rows[1..].iter().map(|(name, scores)| verdict(name, &rows[0].1, scores)).collect();
     let notes = vec![format!(
         "{} frames of {1} × {1} px, {2:.0} % of the presets' passes.",
@@ -150,22 +143,30 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
     Ok(Report { tables: vec![table], figures: Vec::new(), verdicts, notes })
 }
 
-fn fit(
-    context: &Context<'_>,
-    clip: &Clip,
-    mut config: FitConfig,
-    name: &str,
-    settings: &Settings,
-    table: &mut Table,
-) -> Result<Scores> {
-    (context.say)(name);
-    for phase in config.geometry.phases.iter_mut().chain(&mut config.texture.phases) {
-        phase.epochs = ((phase.epochs as f32 * settings.passes).round() as u32).max(1);
+/// The clip with the start that all rows share.
+struct Clip<'a> {
+    context: &'a Context<'a>,
+    settings: &'a Settings,
+    person: Person,
+    start: Fitted,
+    truth: Subject,
+}
+
+impl Clip<'_> {
+    /// A row: the fit with `config`, and its scores.
+    fn fit(&self, mut config: FitConfig, name: &str, table: &mut Table) -> Result<Scores> {
+        (self.context.say)(name);
+        for phase in config.geometry.phases.iter_mut().chain(&mut config.texture.phases) {
+            phase.epochs = ((phase.epochs as f32 * self.settings.passes).round() as u32).max(1);
+        }
+        let started = Instant::now();
+        let fitted = self.person.fit(&config, &self.start)?;
+        let secs = started.elapsed().as_secs_f64();
+        let report = self.person.evaluate(self.person.avatar(&fitted, &config), &self.truth)?;
+        let scores = Scores::of(secs, &report.summary)?;
+        table.row(name, &scores.values());
+        Ok(scores)
     }
-    let fitted = clip.fit(context, &config)?;
-    let scores = Scores::of(fitted.secs, &clip.score(&fitted)?)?;
-    table.row(name, &scores.values());
-    Ok(scores)
 }
 
 /// `standard` wins over a row where its surface is nearer to the truth, or as near (within 2 %) with better pictures.

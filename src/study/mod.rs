@@ -8,7 +8,6 @@ mod context;
 pub mod cost;
 pub mod cube;
 mod document;
-pub mod fitting;
 mod objective;
 mod painter;
 mod person;

@@ -158,9 +158,7 @@ impl ImageTerms {
         recorder.clear(&self.grad_alpha);
         self.iou.backward(recorder, n, target, part * self.objective.silhouette_weight, &self.grad_alpha);
         self.hard.shade(recorder, camera, face_colours, BACKGROUND, &self.image);
-        self.rgb.forward(recorder, n, &self.image, target, None, slot(RGB));
-        recorder.clear(&self.grad_image);
-        self.rgb.backward(recorder, n, &self.image, target, None, rgb_weight, &self.grad_image);
+        self.rgb.forward_backward(recorder, n, &self.image, target, None, slot(RGB), rgb_weight, &self.grad_image);
         let rgb = RgbGradient { image: &self.image, grad_image: &self.grad_image };
         let rgb = self.objective.hard_rgb.then_some(rgb);
         let (hard, grad_alpha) = (&self.hard, &self.grad_alpha);
@@ -181,10 +179,8 @@ impl ImageTerms {
         // Outside the mask the blur of near faces would only pull the mesh inwards, against the silhouette.
         let inside = Some(&view.inside);
         rasterizer.forward(recorder, &params, camera, points, face_colours, Some(&self.hard.zbuf));
-        self.rgb.forward(recorder, n, &rasterizer.rgb, target, inside, slot(RGB_SOFT));
-        recorder.clear(&self.grad_soft);
-        self.rgb.backward(recorder, n, &rasterizer.rgb, target, inside, rgb_weight, &self.grad_soft);
         let Self { grad_soft, grad_face_colours, .. } = self;
+        self.rgb.forward_backward(recorder, n, &rasterizer.rgb, target, inside, slot(RGB_SOFT), rgb_weight, grad_soft);
         rasterizer.backward(recorder, &params, camera, face_colours, grad_soft, None, grad_points, grad_face_colours);
     }
 

@@ -17,7 +17,7 @@ use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureInputs, CaptureOptions};
 use crate::eval::{Novel, Report, Subject, SynthOptions, evaluate};
-use crate::fit::config::{DIRECT_OFFSET_RATE, FrameSampling, Preconditioner};
+use crate::fit::config::{DIRECT_OFFSET_RATE, FrameSampling, Phase, Preconditioner};
 use crate::fit::stage0::{self, Stage0Options};
 use crate::fit::{self, Control, FitConfig, FitState, Flow, StepReport};
 use crate::gpu::Gpu;
@@ -39,16 +39,26 @@ pub(super) struct Fitted {
     pub state: FitState,
 }
 
-/// The same for all variants of a study: no light is told from the albedo, since the light is even; frames count alike; the
-/// gradient of D is diffused, 10 pairs of steps at half and 4 at full resolution.
+/// The same for all variants of a study: no light is told from the albedo, since the light is even; frames count alike; D
+/// steps along its diffused gradient.
 pub(super) fn comparable(mut config: FitConfig) -> FitConfig {
     config.light = false;
     config.frame_sampling = FrameSampling::Uniform;
+    step_directly(&mut config, diffused);
+    config
+}
+
+/// Steps of D itself instead of large steps' coordinates.
+pub(super) fn step_directly(config: &mut FitConfig, preconditioner: fn(&Phase) -> Preconditioner) {
     config.rates.offsets = DIRECT_OFFSET_RATE;
     for phase in config.geometry.phases.iter_mut().chain(&mut config.texture.phases) {
-        phase.preconditioner = Preconditioner::Diffusion { pairs: if phase.level == 0 { 4 } else { 10 } };
+        phase.preconditioner = preconditioner(phase);
     }
-    config
+}
+
+/// 10 pairs of diffusion steps at half and 4 at full resolution: what served best.
+pub(super) fn diffused(phase: &Phase) -> Preconditioner {
+    Preconditioner::Diffusion { pairs: if phase.level == 0 { 4 } else { 10 } }
 }
 
 struct Silent;

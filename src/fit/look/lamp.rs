@@ -37,7 +37,7 @@ const MIN_SHADE: f32 = 0.05;
 /// direction against gravity as the camera has it. Shades are one in the mean of the observations.
 pub fn solve_light(observations: &[Observation], n_faces: usize, up: [f32; 3], forward: [f32; 3]) -> Light {
     let every = observations.len().div_ceil(MAX_SEARCHED).max(1) as u32;
-    // Whole faces, so that each keeps its angles. The stride is odd to a body's symmetric numbering.
+    // Whole faces, so that each keeps its angles. Chosen by a hash: neighbours have neighbouring numbers.
     let searched: Vec<Observation> = observations
         .iter()
         .filter(|o| o.face.wrapping_mul(0x9e37_79b9) >> 8 & 0xffff < 0x1_0000 / every)

@@ -1,0 +1,28 @@
+// The colour loss at a pixel. The importing file binds `params: RgbParams`, `image`, `seen: array<u32>` and `weights`.
+#import shared/target_pixel
+
+#const WEIGHTED: bool = false
+
+struct RgbParams {
+    n_pixels: u32,
+    offset: u32,
+    red: f32,
+    green: f32,
+    blue: f32,
+    composite: f32,
+    lambda: f32,
+    unused: u32,
+}
+
+// image - target
+fn difference_at(i: u32) -> vec3<f32> {
+    let wanted = target_rgb(params.offset + i, vec3<f32>(params.red, params.green, params.blue), params.composite);
+    return vec3<f32>(image[3u * i], image[3u * i + 1u], image[3u * i + 2u]) - wanted;
+}
+
+fn weight_at(i: u32) -> f32 {
+    if WEIGHTED {
+        return weights[i];
+    }
+    return 1.0;
+}
