@@ -3,7 +3,7 @@
 PROFILE_DIR := $(or $(CARGO_TARGET_DIR),target)/debug
 EFFIGY := $(PROFILE_DIR)/effigy
 
-.PHONY: demo test results setup build lint body openapi validate-glb
+.PHONY: demo test torture results setup build lint body openapi validate-glb
 
 ## The main job for real: server, upload, fit, avatar, renders. CLIP=folder uses your own clip.
 demo: setup build
@@ -16,6 +16,12 @@ test: setup
 ## The paper's claims, measured: every study, then docs/results.md.
 results: body
 	"$(EFFIGY)" study all
+
+## The service under attack, for longer than `make test` does it (about a quarter of an hour).
+torture: setup
+	EFFIGY_TORTURE_CASES=2000 cargo test --locked --lib every_history_keeps_the_rules
+	EFFIGY_TORTURE_CYCLES=200 EFFIGY_TORTURE_JOBS=10000 cargo test --locked --test it service::torture -- --nocapture
+	cargo test --locked --test it service::resume -- --include-ignored --nocapture
 
 ## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, Node.js, CA certificates).
 setup:

@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use effigy::config::{Auth, Config};
@@ -55,6 +56,7 @@ async fn serve(in_force: InForce) -> Result<()> {
     getrandom::fill(&mut fresh).context("the system's randomness")?;
     let secret = queue.secret("links", fresh).await?;
     let access = Access::new(openness, queue.clone(), config.cors_origins.clone(), secret);
+    let asked = asked_to_end();
     let listener = tokio::net::TcpListener::bind(config.listen).await;
     let listener = listener.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
@@ -62,7 +64,13 @@ async fn serve(in_force: InForce) -> Result<()> {
     println!("listening on http://{address}");
 
     let inspector = Arc::new(ClipInspector { store: store.clone() });
-    let limits = Limits { upload_bytes: config.max_upload_bytes.0 };
+    let limits = Limits {
+        upload_bytes: config.max_upload_bytes.0,
+        open_uploads: config.max_open_uploads as usize,
+        open_upload_bytes: config.max_open_upload_bytes.0,
+        upload_ttl: Duration::from_secs(config.upload_ttl_secs.into()),
+        ..Limits::default()
+    };
     let app = App::new(queue.clone(), store, renderer, inspector, env.clone(), limits)
         .with_access(access)
         .with_webhooks(queue.clone(), config.webhooks_to_private);
@@ -78,7 +86,7 @@ async fn serve(in_force: InForce) -> Result<()> {
         }
     };
     let end = async move {
-        asked_to_end().await;
+        asked.await;
         tracing::info!("the server ends");
         if let Some(supervisor) = supervisor {
             supervisor.stop();

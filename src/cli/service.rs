@@ -53,30 +53,35 @@ pub async fn open_queue(store: &Store, env: &Env, policy: Policy) -> Result<Arc<
     Ok(Arc::new(queue.with_context(|| path.display().to_string())?))
 }
 
-/// Until the user or the system asks the process to end.
-pub async fn asked_to_end() {
-    let interrupt = async {
+/// Hears from now on whether the user or the system asks the process to end; done when one of them does.
+#[cfg(unix)]
+pub fn asked_to_end() -> impl Future<Output = ()> + Send {
+    use tokio::signal::unix::{Signal, SignalKind, signal};
+    let hear = |kind| signal(kind).inspect_err(|error| tracing::error!(%error, ?kind, "this signal will not be heard"));
+    async fn heard(signal: std::io::Result<Signal>) {
+        match signal {
+            Ok(mut signal) => {
+                signal.recv().await;
+            }
+            Err(_) => std::future::pending().await,
+        }
+    }
+    let (interrupt, terminate) = (hear(SignalKind::interrupt()), hear(SignalKind::terminate()));
+    async {
+        tokio::select! {
+            () = heard(interrupt) => {}
+            () = heard(terminate) => {}
+        }
+    }
+}
+
+/// Done when the user asks the process to end.
+#[cfg(not(unix))]
+pub fn asked_to_end() -> impl Future<Output = ()> + Send {
+    async {
         if let Err(error) = tokio::signal::ctrl_c().await {
             tracing::error!(%error, "no interrupt will be heard");
             std::future::pending::<()>().await;
         }
-    };
-    #[cfg(unix)]
-    let terminate = async {
-        match tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
-            Ok(mut signal) => {
-                signal.recv().await;
-            }
-            Err(error) => {
-                tracing::error!(%error, "no termination will be heard");
-                std::future::pending::<()>().await;
-            }
-        }
-    };
-    #[cfg(not(unix))]
-    let terminate = std::future::pending::<()>();
-    tokio::select! {
-        () = interrupt => {}
-        () = terminate => {}
     }
 }

@@ -57,8 +57,9 @@ async fn work(config: &Config, renders_on_stdio: bool) -> Result<()> {
         // A server reaps for its child.
         tokio::spawn(Reaper { queue: queue.clone(), store: store.clone() }.run());
     }
+    let asked = asked_to_end();
     tokio::spawn(async move {
-        asked_to_end().await;
+        asked.await;
         shutdown.send_replace(true);
     });
     let owner = Owner::new(&store.workers(), env.new_id())?;

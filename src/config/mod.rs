@@ -85,6 +85,12 @@ settings! {
     serve workers: Workers = "1";
     /// The largest upload, all parts together.
     serve max_upload_bytes: Bytes = "4GiB";
+    /// So many resumable uploads that no job has used yet may be open.
+    serve max_open_uploads: u32 = "100";
+    /// The bytes of all open resumable uploads together.
+    serve max_open_upload_bytes: Bytes = "32GiB";
+    /// A resumable upload is removed when nothing has come for so many seconds.
+    serve upload_ttl_secs: u32 = "86400";
     /// Remove a job's files so many days after its end; without it they stay.
     both retain_days: Option<u32> = "";
     /// A fit that shows no step for so many seconds hangs: its attempt ends, and the worker's process is started anew.

@@ -132,6 +132,13 @@ fn is_local_name(host: &str) -> bool {
     name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
+/// A quota of bytes, and what is left of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BytesLeft {
+    pub limit: u64,
+    pub left: u64,
+}
+
 /// Who asks.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Caller {
@@ -145,6 +152,13 @@ impl Caller {
 
     pub fn key_id(&self) -> Option<Uuid> {
         self.key.as_ref().map(|key| key.id)
+    }
+
+    /// What the key's quota of bytes leaves beside the jobs that it keeps; None without a quota.
+    pub async fn bytes_left(&self, app: &App) -> Result<Option<BytesLeft>, ApiError> {
+        let (Some(key), Some(keys)) = (self.key(), app.access.keys()) else { return Ok(None) };
+        let Some(limit) = key.quota.max_bytes else { return Ok(None) };
+        Ok(Some(BytesLeft { limit, left: limit.saturating_sub(keys.kept_bytes(key.id).await?) }))
     }
 
     /// Whose jobs are to be seen; None for everybody's.
@@ -227,7 +241,8 @@ impl Rates {
         let now_us = now.0.saturating_mul(1000);
         let mut taken_until = self.0.lock().unwrap();
         let until = taken_until.entry(key).or_insert(now_us);
-        let next = (*until).max(now_us) + MINUTE_US / i64::from(per_minute.max(1));
+        // What was taken reaches at most a minute ahead, unless the clock was set back.
+        let next = (*until).clamp(now_us, now_us + MINUTE_US) + MINUTE_US / i64::from(per_minute.max(1));
         let over_us = next - now_us - MINUTE_US;
         if over_us > 0 {
             return Err((over_us as u64).div_ceil(1_000_000) as u32);
@@ -259,6 +274,7 @@ mod tests {
         let much_later = start.plus(Duration::from_secs(600));
         let taken = (0..10).filter(|_| rates.take(key, 6, much_later).is_ok()).count();
         assert_eq!(taken, 6, "unused minutes do not add up");
+        assert_eq!(rates.take(key, 6, start), Err(10), "a clock that was set back costs a minute at most");
     }
 
     #[test]

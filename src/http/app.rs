@@ -3,10 +3,13 @@
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use tokio::sync::{Semaphore, watch};
 
 use super::access::Access;
+use super::pace::Pace;
+use super::uploads::Turns;
 use crate::jobs::render::Renderer;
 use crate::jobs::webhooks::Webhooks;
 use crate::jobs::{Clip, Env, JobOptions, Queue};
@@ -42,6 +45,13 @@ pub trait Inspector: Send + Sync + 'static {
 pub struct Limits {
     /// Of all parts of an upload together.
     pub upload_bytes: u64,
+    /// Resumable uploads that no job has used yet: their number, and their bytes together.
+    pub open_uploads: usize,
+    pub open_upload_bytes: u64,
+    /// Such an upload is removed when nothing has come for so long.
+    pub upload_ttl: Duration,
+    /// The slowest that a body may come.
+    pub pace: Pace,
 }
 
 /// One request at a time for each client's key.
@@ -62,7 +72,13 @@ impl KeyLocks {
 
 impl Default for Limits {
     fn default() -> Self {
-        Limits { upload_bytes: 4 << 30 }
+        Limits {
+            upload_bytes: 4 << 30,
+            open_uploads: 100,
+            open_upload_bytes: 32 << 30,
+            upload_ttl: Duration::from_secs(24 * 3600),
+            pace: Pace::default(),
+        }
     }
 }
 
@@ -83,6 +99,7 @@ pub struct App {
     pub(super) webhooks: Option<(Arc<dyn Webhooks>, bool)>,
     pub(super) inspections: Arc<Semaphore>,
     pub(super) keys: Arc<KeyLocks>,
+    pub(super) uploads: Arc<Turns>,
     /// Id of the newest event, and the end of the server: what event streams wait for.
     pub(super) feed: watch::Sender<Feed>,
 }
@@ -115,6 +132,7 @@ impl App {
             webhooks,
             inspections,
             keys: Arc::default(),
+            uploads: Arc::default(),
             feed: watch::Sender::default(),
         }
     }

@@ -71,6 +71,19 @@ pub enum ApiError {
     Busy(String),
     #[error("so many jobs wait that no more are taken")]
     QueueFull,
+    #[error("{detail}")]
+    Precondition { detail: String, expected: String },
+    #[error("the offset is {given}, {actual} bytes have come")]
+    Offset { given: u64, actual: u64 },
+    #[error("the bytes do not have the checksum")]
+    Checksum,
+    #[error("more than is taken: {expected}")]
+    TooManyUploads { expected: String },
+    /// A newer request for the same upload came meanwhile; the client of this one is gone or has given it up.
+    #[error("a newer request works on this upload")]
+    Superseded,
+    #[error("the body came too slowly")]
+    TooSlow,
     #[error("this idempotency key was given with another request")]
     KeyReused,
     #[error("the disk is full")]
@@ -125,6 +138,20 @@ impl ApiError {
             }
             ApiError::Busy(_) => (StatusCode::SERVICE_UNAVAILABLE, "busy", "The server cannot do this now"),
             ApiError::QueueFull => (StatusCode::TOO_MANY_REQUESTS, "queue-full", "The queue is full"),
+            ApiError::Precondition { .. } => {
+                (StatusCode::PRECONDITION_FAILED, "precondition-failed", "A header asks for something else")
+            }
+            ApiError::Offset { .. } => (StatusCode::CONFLICT, "offset-mismatch", "The offset is another"),
+            ApiError::Checksum => {
+                // The tus protocol's own number.
+                let mismatch = StatusCode::from_u16(460).unwrap_or(StatusCode::BAD_REQUEST);
+                (mismatch, "checksum-mismatch", "The checksum is another")
+            }
+            ApiError::TooManyUploads { .. } => {
+                (StatusCode::TOO_MANY_REQUESTS, "too-many-uploads", "Too many uploads are open")
+            }
+            ApiError::Superseded => (StatusCode::LOCKED, "superseded", "A newer request works on this upload"),
+            ApiError::TooSlow => (StatusCode::REQUEST_TIMEOUT, "too-slow", "The body came too slowly"),
             ApiError::KeyReused => {
                 (StatusCode::UNPROCESSABLE_ENTITY, "idempotency-key-reused", "The key belongs to another request")
             }
@@ -167,6 +194,13 @@ impl ApiError {
                 problem.part = part.clone();
                 problem.expected = Some(format!("at most {limit_bytes} bytes"));
             }
+            ApiError::Precondition { expected, .. } | ApiError::TooManyUploads { expected } => {
+                problem.expected = Some(expected.clone());
+            }
+            ApiError::Offset { actual, .. } => {
+                problem.part = Some("upload-offset".into());
+                problem.expected = Some(actual.to_string());
+            }
             ApiError::KeyReused => {
                 problem.part = Some("idempotency-key".into());
                 problem.expected = Some("a new key for a new request, the same parts for the same key".into());
@@ -196,7 +230,7 @@ impl IntoResponse for ApiError {
             ApiError::Unauthorized(_) => {
                 headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
             }
-            ApiError::QueueFull => {
+            ApiError::QueueFull | ApiError::TooManyUploads { .. } => {
                 headers.insert(header::RETRY_AFTER, QUEUE_RETRY_AFTER_SECS.into());
             }
             ApiError::Range { size } => {

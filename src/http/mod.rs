@@ -15,9 +15,11 @@ mod jobs;
 mod links;
 mod metrics;
 pub mod openapi;
+mod pace;
 mod page;
 mod renders;
 mod server;
+mod uploads;
 mod webhooks;
 
 use std::any::Any;
@@ -25,8 +27,10 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::extract::Request;
-use axum::http::{HeaderName, HeaderValue, Method};
+use axum::http::{HeaderName, HeaderValue, Method, header};
+use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use tower::ServiceExt;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer, ExposeHeaders};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
@@ -38,6 +42,7 @@ use utoipa_axum::routes;
 pub use access::{Access, Openness};
 pub use app::{App, InspectError, Inspector, Limits, UploadedFiles};
 pub use inspector::ClipInspector;
+pub use pace::Pace;
 pub use server::serve;
 
 use error::ApiError;
@@ -47,6 +52,7 @@ const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(openapi::Description::openapi())
         .merge(jobs::router())
+        .merge(uploads::router())
         .merge(webhooks::router())
         .routes(routes!(avatars::get))
         .routes(routes!(avatars::mesh))
@@ -63,7 +69,7 @@ fn routes() -> OpenApiRouter<App> {
 pub fn router(app: App) -> Router {
     metrics::install();
     let (router, _) = routes().split_for_parts();
-    router
+    let router = router
         .merge(page::router())
         .fallback(|request: Request| async move { ApiError::UnknownPath(request.uri().path().into()) })
         .method_not_allowed_fallback(|request: Request| async move {
@@ -72,12 +78,27 @@ pub fn router(app: App) -> Router {
         // Runs inside the routes, where the pattern of the path is known.
         .route_layer(axum::middleware::from_fn_with_state(app.clone(), access::check))
         .route_layer(axum::middleware::from_fn(metrics::count))
+        .layer(axum::middleware::from_fn_with_state(app.limits.pace, pace::keep_pace))
+        .with_state(app.clone());
+    // The layer takes every OPTIONS for a browser's question about origins; the tus protocol has one of its own.
+    let without_cors = router.clone();
+    router
         .layer(cors(app.access.origins()))
+        .layer(axum::middleware::from_fn(move |request: Request, next: Next| {
+            let router = without_cors.clone();
+            async move {
+                let preflight = request.headers().contains_key(header::ACCESS_CONTROL_REQUEST_METHOD);
+                if request.method() == Method::OPTIONS && !preflight {
+                    router.oneshot(request).await.unwrap_or_else(|never| match never {})
+                } else {
+                    next.run(request).await
+                }
+            }
+        }))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(TraceLayer::new_for_http().make_span_with(span))
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
-        .with_state(app)
 }
 
 /// What browsers let the pages of other origins do: nothing, unless it is configured. A page shows its key in a header

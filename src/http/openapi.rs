@@ -15,6 +15,7 @@ use super::error::Problem;
     components(schemas(Problem)),
     tags(
         (name = "jobs", description = "Clips on their way to avatars"),
+        (name = "uploads", description = "Files in pieces, which survive a cut (tus 1.0.0)"),
         (name = "avatars", description = "Results and renders"),
         (name = "webhooks", description = "Who is told of jobs"),
         (name = "service", description = "For those who run it"),

@@ -36,7 +36,7 @@ fn report(progress: f64) -> ProgressReport {
     ProgressReport { stage: "geometry".into(), step: 3, steps: 9, progress, eta_secs: Some(60.0), losses }
 }
 
-fn avatar() -> NewAvatar {
+pub fn avatar() -> NewAvatar {
     let camera = json!({ "width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 32.0, "cy": 24.0 });
     NewAvatar {
         body: "test".into(),

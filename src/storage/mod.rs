@@ -6,6 +6,7 @@
 //! <data>/jobs/<job>/inputs/   the uploaded parts; complete before the job is in the queue
 //! <data>/jobs/<job>/work/     checkpoints, which outlive a worker
 //! <data>/jobs/<job>/results/<epoch>/   what an attempt made; the published epoch is in the database
+//! <data>/uploads/             uploads that come in pieces, until a job uses them
 //! <data>/renders/             answers of the worker on their way to a client
 //! <data>/tmp/                 uploads on their way in, deletions on their way out; emptied at start
 //! <data>/workers/             a locked file for each live worker process
@@ -16,6 +17,7 @@
 
 mod backup;
 mod publish;
+mod resumable;
 mod serve;
 mod space;
 mod upload;
@@ -29,6 +31,7 @@ use uuid::Uuid;
 
 pub use backup::{Copied, How};
 pub use publish::{Published, write_atomic};
+pub use resumable::{AboutUpload, Appender, ResumableUpload};
 pub use serve::{ByteRange, open_range, parse_range};
 pub use upload::{PartWriter, Upload};
 
@@ -44,7 +47,7 @@ impl Store {
     pub fn open(root: &Path) -> io::Result<Store> {
         fs::create_dir_all(root)?;
         let store = Store { root: root.canonicalize()?, reserve_bytes: 0 };
-        for folder in [store.tmp(), store.jobs(), store.bodies(), store.renders(), store.workers()] {
+        for folder in [store.tmp(), store.jobs(), store.bodies(), store.renders(), store.workers(), store.uploads()] {
             fs::create_dir_all(folder)?;
         }
         Ok(store)

@@ -1,28 +1,37 @@
 //! `POST /v1/jobs`
 
+use std::sync::Arc;
+
+use axum::body::to_bytes;
 use axum::extract::multipart::MultipartRejection;
-use axum::extract::{Multipart, State};
+use axum::extract::{FromRequest, Multipart, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use uuid::Uuid;
 
-use super::upload::{Received, UploadForm, receive};
+use super::upload::{JobOfUploads, Received, UploadForm, receive, receive_json};
 use super::view::JobView;
-use crate::http::access::Caller;
+use crate::http::access::{BytesLeft, Caller};
 use crate::http::app::{App, InspectError, Limits};
 use crate::http::error::{ApiError, Problem};
+use crate::http::pace::Lateness;
 use crate::jobs::{Clip, Insertion, Job, NewJob, QueueError, Remember, Remembered};
+use crate::storage::Store;
+
+/// A JSON body names its parts only.
+const JSON_LIMIT_BYTES: usize = 64 << 10;
 
 /// Upload a clip and queue the making of its avatar.
 ///
-/// The parts stream to the disk and are checked against each other before the answer; the order of parts is free.
+/// The parts stream to the disk and are checked against each other before the answer; the order of parts is free. Parts
+/// may be finished uploads of `/v1/uploads` instead.
 ///
 /// With an `Idempotency-Key`, sending the same request again within 24 hours gives the first answer again and no second
 /// job, however often and whenever it is sent.
 #[utoipa::path(
     post, path = "/v1/jobs", tag = "jobs",
     params(("idempotency-key" = Option<String>, Header, description = "A name of the client's own for this request")),
-    request_body(content = UploadForm, content_type = "multipart/form-data"),
+    request_body(content((UploadForm = "multipart/form-data"), (JobOfUploads = "application/json"))),
     responses(
         (status = 202, description = "The job is queued", body = JobView,
             headers(
@@ -43,21 +52,18 @@ use crate::jobs::{Clip, Insertion, Job, NewJob, QueueError, Remember, Remembered
             content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn create(
-    State(app): State<App>,
-    caller: Caller,
-    headers: HeaderMap,
-    form: Result<Multipart, MultipartRejection>,
-) -> Result<Response, ApiError> {
-    let limits = allowance(&app, &caller).await?;
-    refuse_by_length(&headers, limits.upload_bytes)?;
+pub(super) async fn create(State(app): State<App>, caller: Caller, request: Request) -> Result<Response, ApiError> {
+    let headers = request.headers().clone();
     let key = idempotency_key(&headers, &caller)?;
-    refuse_without_room(&app, &headers, key.as_deref()).await?;
-    let form = form.map_err(|e| match e {
-        MultipartRejection::InvalidBoundary(e) => ApiError::MediaType(e.body_text()),
-        other => ApiError::MediaType(other.body_text()),
-    })?;
-    let received = receive(form, &app.store, &limits, key.is_some()).await?;
+    let is_known = match &key {
+        Some(key) => app.queue.remembered(key).await?.is_some(),
+        None => false,
+    };
+    // A repeated request makes no second job: it needs no place in the queue and nothing of the quota.
+    let limits = if is_known { app.limits.clone() } else { allowance(&app, &caller).await? };
+    refuse_by_length(&headers, limits.upload_bytes)?;
+    refuse_without_room(&app, &headers, is_known).await?;
+    let mut received = read(&app, request, &limits, key.is_some()).await?;
     let remember = key.map(|key| Remember { key, fingerprint: received.fingerprint(), answer });
     // Requests under one key go one after the other: the first makes the job, the others find its answer.
     let mut _lock = None;
@@ -67,8 +73,9 @@ pub(super) async fn create(
             return replay(remember, known);
         }
     }
+    let used = received.adopt(&app, &caller, &limits).await?;
     let (received, clip) = inspect(&app, received).await?;
-    match accept(app, caller.key_id(), received, clip, remember.clone()).await? {
+    match accept(app, caller.key_id(), received, clip, remember.clone(), used).await? {
         Insertion::Queued(job) => {
             tracing::info!(job = %job.id, "accepted");
             accepted(answer(&job))
@@ -78,6 +85,41 @@ pub(super) async fn create(
             None => Err(ApiError::internal(anyhow::anyhow!("a request without a key was known"))),
         },
         Insertion::Full => Err(ApiError::QueueFull),
+    }
+}
+
+/// The body, on the disk.
+async fn read(app: &App, request: Request, limits: &Limits, hash: bool) -> Result<Received, ApiError> {
+    let lateness = request.extensions().get::<Lateness>().cloned().unwrap_or_default();
+    let kind = request.headers().get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
+    if kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json")) {
+        let too_much = |_| match lateness.is_late() {
+            true => ApiError::TooSlow,
+            false => ApiError::TooLarge {
+                detail: "the body is too large, or ended early".into(),
+                part: None,
+                limit_bytes: JSON_LIMIT_BYTES as u64,
+            },
+        };
+        let json = to_bytes(request.into_body(), JSON_LIMIT_BYTES).await.map_err(too_much)?;
+        return receive_json(&json, &app.store).await;
+    }
+    let form = Multipart::from_request(request, app).await.map_err(|e| match e {
+        MultipartRejection::InvalidBoundary(e) => ApiError::MediaType(e.body_text()),
+        other => ApiError::MediaType(other.body_text()),
+    })?;
+    receive(form, &app.store, limits, hash, &lateness).await
+}
+
+/// The files are the job's now.
+async fn remove_used(store: &Arc<Store>, used: Vec<Uuid>) {
+    let store = store.clone();
+    let removed =
+        tokio::task::spawn_blocking(move || used.into_iter().try_for_each(|id| store.remove_resumable(id).map(drop)));
+    match removed.await {
+        Ok(Ok(())) => {}
+        Ok(Err(error)) => tracing::warn!(%error, "a used upload stays until it expires"),
+        Err(error) => tracing::error!(%error, "removing used uploads panicked"),
     }
 }
 
@@ -123,19 +165,16 @@ fn idempotency_key(headers: &HeaderMap, caller: &Caller) -> Result<Option<String
     }
 }
 
-/// Before the body is read: is there room on the disk and in the queue? A repeated request needs none in the queue.
-async fn refuse_without_room(app: &App, headers: &HeaderMap, key: Option<&str>) -> Result<(), ApiError> {
+/// Before the body is read: is there room on the disk and in the queue?
+async fn refuse_without_room(app: &App, headers: &HeaderMap, is_known: bool) -> Result<(), ApiError> {
     let (store, expected) = (&app.store, content_length(headers).unwrap_or(0));
     if !store.has_room(expected) {
         return Err(ApiError::DiskReserve { free_bytes: store.free_bytes()?, reserve_bytes: store.reserve_bytes() });
     }
-    if !app.queue.is_full().await? {
-        return Ok(());
+    if !is_known && app.queue.is_full().await? {
+        return Err(ApiError::QueueFull);
     }
-    match key {
-        Some(key) if app.queue.remembered(key).await?.is_some() => Ok(()),
-        _ => Err(ApiError::QueueFull),
-    }
+    Ok(())
 }
 
 fn content_length(headers: &HeaderMap) -> Option<u64> {
@@ -146,10 +185,7 @@ fn content_length(headers: &HeaderMap) -> Option<u64> {
 /// this spares the caller a long upload in vain.
 async fn allowance(app: &App, caller: &Caller) -> Result<Limits, ApiError> {
     let mut limits = app.limits.clone();
-    if let (Some(key), Some(keys)) = (caller.key(), app.access.keys())
-        && let Some(limit) = key.quota.max_bytes
-    {
-        let left = limit.saturating_sub(keys.kept_bytes(key.id).await?);
+    if let Some(BytesLeft { limit, left }) = caller.bytes_left(app).await? {
         if left == 0 {
             return Err(QueueError::Quota { what: "bytes kept", limit }.into());
         }
@@ -195,6 +231,7 @@ async fn accept(
     received: Received,
     clip: Clip,
     remember: Option<Remember>,
+    used: Vec<Uuid>,
 ) -> Result<Insertion, ApiError> {
     let task = tokio::spawn(async move {
         let id = app.env.new_id();
@@ -205,6 +242,9 @@ async fn accept(
         if !matches!(queued, Ok(Insertion::Queued(_))) {
             let store = app.store.clone();
             tokio::task::spawn_blocking(move || store.delete_job(id)).await.map_err(ApiError::internal)??;
+        }
+        if matches!(queued, Ok(Insertion::Queued(_))) {
+            remove_used(&app.store, used).await;
         }
         Ok(queued?)
     });

@@ -5,10 +5,16 @@ use std::time::Duration;
 
 use axum::extract::Multipart;
 use axum::extract::multipart::{Field, MultipartError};
+use serde::Deserialize;
+use serde_json::Value;
 use sha2::{Digest, Sha256};
+use uuid::Uuid;
 
-use crate::http::app::{Limits, UploadedFiles};
+use crate::http::access::Caller;
+use crate::http::app::{App, Limits, UploadedFiles};
 use crate::http::error::ApiError;
+use crate::http::pace::Lateness;
+use crate::http::uploads;
 use crate::jobs::{JobOptions, Part};
 use crate::storage::{Store, Upload};
 
@@ -35,6 +41,22 @@ pub(super) struct UploadForm {
     poses: Option<Vec<u8>>,
     /// JSON.
     options: Option<JobOptions>,
+    /// JSON: parts that were uploaded before, by `/v1/uploads`, as part → id.
+    #[schema(value_type = Option<Object>)]
+    uploads: Option<BTreeMap<String, Uuid>>,
+}
+
+/// A job of files that were uploaded before, by `/v1/uploads`.
+#[derive(Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct JobOfUploads {
+    /// Part (`video`, `masks`, `keypoints`, `camera`, `poses`) → id of a finished upload. The job uses them up.
+    uploads: BTreeMap<String, Uuid>,
+    /// The camera itself, instead of an upload of it.
+    #[schema(value_type = Option<Object>)]
+    camera: Option<Value>,
+    #[schema(value_type = Option<JobOptions>)]
+    options: Option<Value>,
 }
 
 /// A part and the most it may hold. The large ones share the limit of the whole upload.
@@ -52,6 +74,7 @@ const KINDS: [Kind; 5] = [
     Kind { name: "poses", required: false, limit_bytes: 256 << 20 },
 ];
 const OPTIONS: &str = "options";
+const UPLOADS: &str = "uploads";
 const OPTIONS_LIMIT_BYTES: u64 = 64 << 10;
 const EXPECTED_PARTS: &str = "video, masks and keypoints; if wished camera, poses and options; each once";
 
@@ -60,6 +83,8 @@ pub(super) struct Received {
     pub upload: Upload,
     pub inputs: BTreeMap<String, Part>,
     pub options: JobOptions,
+    /// Parts that are uploads of their own, until they are adopted.
+    references: BTreeMap<String, Uuid>,
     /// SHA-256 of each part, where it was asked for.
     hashes: BTreeMap<String, String>,
 }
@@ -67,7 +92,7 @@ pub(super) struct Received {
 impl Received {
     /// SHA-256 over the parts' names and contents and the options, lower-case hex.
     pub fn fingerprint(&self) -> String {
-        let said = serde_json::json!({ "parts": self.hashes, "options": self.options });
+        let said = serde_json::json!({ "parts": self.hashes, "uploads": self.references, "options": self.options });
         hex(&Sha256::digest(said.to_string()))
     }
 
@@ -92,8 +117,12 @@ pub(super) async fn receive(
     store: &Store,
     limits: &Limits,
     hash: bool,
+    lateness: &Lateness,
 ) -> Result<Received, ApiError> {
     let received = receive_parts(&mut form, store, limits, hash).await;
+    if lateness.is_late() {
+        return Err(ApiError::TooSlow);
+    }
     if received.is_err() {
         let rest = async { while let Ok(Some(_)) = form.next_field().await {} };
         // Whoever sends for longer finds the connection closed.
@@ -107,15 +136,24 @@ async fn receive_parts(form: &mut Multipart, store: &Store, limits: &Limits, has
     let upload = store.begin_upload()?;
     let mut inputs = BTreeMap::new();
     let mut options = None;
+    let mut references: Option<BTreeMap<String, Uuid>> = None;
     let mut budget = Budget { whole: limits.upload_bytes, left: limits.upload_bytes };
     while let Some(field) = form.next_field().await.map_err(form_error)? {
         let name = field.name().unwrap_or("").to_string();
-        if inputs.contains_key(&name) || (name == OPTIONS && options.is_some()) {
+        if inputs.contains_key(&name)
+            || (name == OPTIONS && options.is_some())
+            || (name == UPLOADS && references.is_some())
+        {
             return Err(wrong_part(format!("the part {name:?} came twice"), &name));
         }
         if name == OPTIONS {
             let json = read_small(field, &mut budget).await?;
             options = Some(JobOptions::parse(&json)?);
+            continue;
+        }
+        if name == UPLOADS {
+            let json = read_small(field, &mut budget).await?;
+            references = Some(parse_json(&json, UPLOADS)?);
             continue;
         }
         let Some(kind) = KINDS.iter().find(|kind| kind.name == name) else {
@@ -128,10 +166,97 @@ async fn receive_parts(form: &mut Multipart, store: &Store, limits: &Limits, has
         }
         inputs.insert(name, Part { bytes });
     }
-    if let Some(missing) = KINDS.iter().find(|kind| kind.required && !inputs.contains_key(kind.name)) {
-        return Err(wrong_part(format!("the part {:?} is missing", missing.name), missing.name));
+    let references = references.unwrap_or_default();
+    let received = Received { upload, inputs, options: options.unwrap_or_default(), references, hashes };
+    received.check_parts()?;
+    Ok(received)
+}
+
+/// The JSON form of a request: all parts but a camera were uploaded before.
+pub(super) async fn receive_json(json: &[u8], store: &Store) -> Result<Received, ApiError> {
+    let asked: JobOfUploads = parse_json(json, "")?;
+    let options = asked.options.map(|options| JobOptions::parse(options.to_string().as_bytes())).transpose()?;
+    let upload = store.begin_upload()?;
+    let (mut inputs, mut hashes) = (BTreeMap::new(), BTreeMap::new());
+    if let Some(camera) = asked.camera {
+        let text = camera.to_string();
+        let mut part = upload.part("camera").await?;
+        part.write(text.as_bytes()).await?;
+        inputs.insert("camera".into(), Part { bytes: part.finish().await? });
+        hashes.insert("camera".into(), hex(&Sha256::digest(text)));
     }
-    Ok(Received { upload, inputs, options: options.unwrap_or_default(), hashes })
+    let received = Received { upload, inputs, options: options.unwrap_or_default(), references: asked.uploads, hashes };
+    received.check_parts()?;
+    Ok(received)
+}
+
+fn parse_json<T: serde::de::DeserializeOwned>(json: &[u8], part: &str) -> Result<T, ApiError> {
+    let mut reader = serde_json::Deserializer::from_slice(json);
+    serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+        let path = error.path().to_string();
+        let at = [part, path.as_str()].into_iter().filter(|text| !text.is_empty() && *text != ".");
+        let expected = "JSON: parts and the ids of their uploads".to_string();
+        ApiError::Malformed {
+            detail: error.inner().to_string(),
+            part: Some(at.collect::<Vec<_>>().join(".")).filter(|part| !part.is_empty()),
+            expected: Some(expected),
+        }
+    })
+}
+
+impl Received {
+    /// Each part once, and all that are needed.
+    fn check_parts(&self) -> Result<(), ApiError> {
+        for name in self.references.keys() {
+            if !KINDS.iter().any(|kind| kind.name == name) {
+                return Err(wrong_part(format!("there is no part {name:?}"), name));
+            }
+            if self.inputs.contains_key(name) {
+                return Err(wrong_part(format!("the part {name:?} came twice"), name));
+            }
+        }
+        let is_there = |name: &str| self.inputs.contains_key(name) || self.references.contains_key(name);
+        match KINDS.iter().find(|kind| kind.required && !is_there(kind.name)) {
+            Some(missing) => Err(wrong_part(format!("the part {:?} is missing", missing.name), missing.name)),
+            None => Ok(()),
+        }
+    }
+
+    /// Takes the finished uploads that the request named as its parts; returns their ids. They stay until the job is
+    /// accepted, so that a refused request can be mended.
+    pub async fn adopt(&mut self, app: &App, caller: &Caller, limits: &Limits) -> Result<Vec<Uuid>, ApiError> {
+        let mut used = Vec::new();
+        let mut total: u64 = self.inputs.values().map(|part| part.bytes).sum();
+        for (part, id) in std::mem::take(&mut self.references) {
+            let wrong = |detail: String, expected: &str| {
+                let expected = expected.to_string();
+                ApiError::Input { detail, part: format!("{UPLOADS}.{part}"), frame: None, expected }
+            };
+            let (found, _turn) = match uploads::take(app, caller, &id.to_string()).await {
+                Err(ApiError::Unknown { .. }) => {
+                    return Err(wrong(format!("there is no upload {id}"), "the id of a finished upload"));
+                }
+                other => other?,
+            };
+            let bytes = found.about.bytes;
+            if !found.is_whole() {
+                let detail = format!("of the upload {id}, {} of {bytes} bytes have come", found.offset);
+                return Err(wrong(detail, "a finished upload"));
+            }
+            let kind_limit = KINDS.iter().find(|kind| kind.name == part).map_or(0, |kind| kind.limit_bytes);
+            total = total.saturating_add(bytes);
+            for (size, limit_bytes) in [(bytes, kind_limit), (total, limits.upload_bytes)] {
+                if size > limit_bytes {
+                    let detail = format!("the upload for {part:?} is too large");
+                    return Err(ApiError::TooLarge { detail, part: Some(part), limit_bytes });
+                }
+            }
+            self.upload.adopt(&part, id)?;
+            self.inputs.insert(part, Part { bytes });
+            used.push(id);
+        }
+        Ok(used)
+    }
 }
 
 /// What an upload may still bring.

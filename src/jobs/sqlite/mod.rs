@@ -10,6 +10,8 @@ mod keys;
 mod reaper;
 mod rows;
 #[cfg(test)]
+mod state_machine;
+#[cfg(test)]
 mod tests;
 mod webhooks;
 mod worker;

@@ -7,7 +7,7 @@ use super::super::conformance::{Bench, new_job, suite};
 use super::super::{Env, ListFilter, ManualClock, Policy, Queue, Timestamp};
 use super::SqliteQueue;
 
-async fn open() -> Bench {
+pub(super) async fn open() -> Bench {
     let folder = tempfile::tempdir().unwrap();
     let clock = ManualClock::new(Timestamp(1_700_000_000_000));
     let env = Env::new(clock.clone(), 7);

@@ -94,6 +94,10 @@ async fn every_operation_asks_for_a_key_and_hides_what_is_anothers() {
             continue;
         }
         assert_eq!(unknown.header("www-authenticate"), "Bearer");
+        if method == Method::HEAD {
+            assert_eq!(unknown.status, 401, "{pattern}");
+            continue;
+        }
         unknown.problem(401);
         let wrong = [("authorization", "Bearer effigy_wrong")];
         bench.call(method.clone(), &path, &wrong, Body::empty()).await.problem(401);
@@ -163,6 +167,61 @@ async fn a_quota_of_waiting_jobs_and_of_bytes_holds() {
     // Nothing of what was refused is left: two jobs of the first key, one of the second.
     assert_eq!(bench.store.job_folders().unwrap().len(), 3);
     assert_eq!(std::fs::read_dir(bench.store.root().join("tmp")).unwrap().count(), 0);
+}
+
+/// `upload-length` and the protocol's version.
+fn of_bytes(bytes: u64) -> [(&'static str, String); 2] {
+    [("tus-resumable", "1.0.0".into()), ("upload-length", bytes.to_string())]
+}
+
+#[tokio::test]
+async fn resumable_uploads_are_ones_own_and_count_towards_the_quota() {
+    let (bench, _) = Bench::guarded(Openness::Keys, &[]).await;
+    let one = bench.key("one", &USER, Quota { max_bytes: Some(1000), ..Quota::default() }).await;
+    let two = bench.key("two", &USER, Quota::default()).await;
+    let admin = bench.key("boss", &[Scope::Admin], Quota::default()).await;
+    let ask = async |asker: &Asker, method: Method, path: &str, bytes: u64| {
+        let own = of_bytes(bytes);
+        let headers = [("authorization", asker.header.as_str()), ("tus-resumable", &own[0].1), (own[1].0, &own[1].1)];
+        bench.call(method, path, &headers, Body::empty()).await
+    };
+    let begun = ask(&one, Method::POST, "/v1/uploads", 600).await;
+    assert_eq!(begun.status, 201);
+    let path = begun.header("location");
+    let refused = ask(&one, Method::POST, "/v1/uploads", 401).await.problem(429);
+    assert_eq!(refused["type"], "urn:effigy:problem:quota-exceeded", "{refused}");
+    assert_eq!(ask(&one, Method::POST, "/v1/uploads", 400).await.status, 201);
+    assert_eq!(ask(&two, Method::POST, "/v1/uploads", 5000).await.status, 201, "another key has its own");
+
+    assert_eq!(ask(&two, Method::HEAD, path, 0).await.status, 404);
+    ask(&two, Method::DELETE, path, 0).await.problem(404);
+    assert_eq!(ask(&one, Method::HEAD, path, 0).await.status, 200);
+    assert_eq!(ask(&admin, Method::HEAD, path, 0).await.status, 200);
+    let id = path.rsplit('/').next().unwrap();
+    let theft = json!({ "uploads": { "video": id, "masks": id, "keypoints": id } });
+    let theft = two.call(Method::POST, "/v1/jobs", theft.to_string()).await.problem(422);
+    assert!(theft["detail"].as_str().unwrap().contains("there is no upload"), "{theft}");
+    assert_eq!(ask(&one, Method::DELETE, path, 0).await.status, 204);
+    assert_eq!(ask(&one, Method::POST, "/v1/uploads", 500).await.status, 201, "what is given up counts no more");
+}
+
+#[tokio::test]
+async fn a_key_that_is_full_still_gets_its_answers_again() {
+    let (bench, _) = Bench::guarded(Openness::Keys, &[]).await;
+    let size: u64 = Form::clip().0.iter().map(|(_, content)| content.len() as u64).sum();
+    let quota = Quota { max_queued: Some(1), max_bytes: Some(size), ..Quota::default() };
+    let full = bench.key("full", &USER, quota).await;
+    let send = async |name: &str| {
+        let headers =
+            [("authorization", full.header.as_str()), ("content-type", Form::TYPE), ("idempotency-key", name)];
+        bench.call(Method::POST, "/v1/jobs", &headers, Form::clip().body()).await
+    };
+    let first = send("a").await;
+    assert_eq!(first.status, 202);
+    let again = send("a").await;
+    assert_eq!((again.status.as_u16(), again.header("idempotency-replayed")), (202, "true"));
+    assert_eq!(again.body, first.body);
+    assert_eq!(send("b").await.problem(429)["type"], "urn:effigy:problem:quota-exceeded");
 }
 
 #[tokio::test]

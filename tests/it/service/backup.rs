@@ -49,6 +49,11 @@ async fn a_backup_of_a_busy_service_is_restored_whole() {
     std::fs::create_dir_all(bench.store.results(running, held.epoch)).unwrap();
     std::fs::write(bench.store.results(running, held.epoch).join("avatar.glb"), b"not yet").unwrap();
 
+    // Neither are uploads that no job has used: their clients send them again. Nor is the ballast.
+    let open = effigy::storage::AboutUpload { bytes: 9, metadata: None, owner: None };
+    bench.store.begin_resumable(Uuid::new_v4(), &open).unwrap();
+    bench.store.load_ballast().unwrap();
+
     // Jobs come and go while the backup is made.
     let place = tempfile::tempdir().unwrap();
     let (backup, elsewhere) = (place.path().join("backup"), place.path().join("elsewhere"));
@@ -75,6 +80,10 @@ async fn a_backup_of_a_busy_service_is_restored_whole() {
     refused(&effigy("backup", &backup, bench.store.root()), "is not empty");
 
     let restored = effigy("restore", &backup, &elsewhere);
+    for folder in [&backup, &elsewhere] {
+        assert_eq!(std::fs::read_dir(folder.join("uploads")).unwrap().count(), 0);
+        assert!(!folder.join("ballast").exists());
+    }
     assert!(restored.status.success(), "{}", String::from_utf8_lossy(&restored.stderr));
     refused(&effigy("restore", &backup, &elsewhere), "move it and its jobs away");
     let serve = Serve::start(&elsewhere, &["--workers", "0"]);

@@ -136,3 +136,39 @@ async fn the_end_of_the_server_ends_its_streams() {
     assert_eq!(stream.next().await, None);
     server.ended.await.unwrap().unwrap();
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_reconnects_all_the_time_sees_each_event_once() {
+    use rand::{RngExt, SeedableRng};
+    const STEPS: u32 = 150;
+    let server = Server::start().await;
+    let id = server.bench.add_job().await;
+    let lease = server.bench.claim().await;
+    let queue = server.bench.queue.clone();
+    let writer = tokio::spawn(async move {
+        for step in 1..=STEPS {
+            queue.report(&lease, &report(step)).await.unwrap();
+            tokio::time::sleep(std::time::Duration::from_millis(3)).await;
+        }
+        queue.fail(&lease, effigy::jobs::JobError::new("unfit", "no"), effigy::jobs::Repeat::Never).await.unwrap();
+    });
+    let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(3);
+    let (mut seen, mut connections) = (Vec::new(), 0);
+    let mut last: Option<String> = None;
+    while seen.last().is_none_or(|event: &Seen| event.data["state"] != "failed") {
+        connections += 1;
+        let mut stream = server.follow(id, last.as_deref()).await;
+        for _ in 0..random.random_range(1..9) {
+            let Some(event) = stream.next().await else { break };
+            last = Some(event.id.clone());
+            seen.push(event);
+        }
+    }
+    writer.await.unwrap();
+    let told = server.bench.queue.events(id, 0, 10_000).await.unwrap();
+    let told: Vec<String> = told.iter().map(|event| event.id.to_string()).collect();
+    assert_eq!(seen.iter().map(|event| event.id.clone()).collect::<Vec<_>>(), told);
+    let steps: Vec<_> = seen.iter().filter_map(|event| event.data["step"].as_u64()).collect();
+    assert_eq!(steps, (1..=u64::from(STEPS)).collect::<Vec<_>>());
+    assert!(connections > 20, "{connections} connections");
+}

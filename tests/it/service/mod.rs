@@ -4,6 +4,7 @@ mod access;
 mod avatars;
 mod backup;
 mod events;
+mod hostile;
 mod jobs;
 mod limits;
 mod openapi;
@@ -12,6 +13,8 @@ mod process;
 mod rehearsal;
 mod renders;
 mod resume;
+mod torture;
+mod tus;
 mod uploads;
 mod webhooks;
 
@@ -42,7 +45,7 @@ struct Bench {
     store: Arc<Store>,
     env: Env,
     draws: Arc<Draws>,
-    _folder: tempfile::TempDir,
+    _folder: Option<tempfile::TempDir>,
 }
 
 /// Answers renders with a fixed text and remembers what was asked.
@@ -106,9 +109,27 @@ impl Bench {
     }
 
     async fn with(limits: Limits, policy: Policy, reserve_bytes: u64, env: Env) -> Bench {
-        effigy::webhooks::install_cryptography();
         let folder = tempfile::tempdir().unwrap();
-        let store = Arc::new(Store::open(folder.path()).unwrap().with_reserve(reserve_bytes));
+        let root = folder.path().to_path_buf();
+        Self::at(root, Some(folder), limits, policy, reserve_bytes, env).await
+    }
+
+    /// Beside others who work on a folder.
+    async fn on(root: PathBuf) -> Bench {
+        let policy = Policy { max_queued: u64::MAX, ..Policy::default() };
+        Self::at(root, None, Limits::default(), policy, 0, Env::system()).await
+    }
+
+    async fn at(
+        root: PathBuf,
+        folder: Option<tempfile::TempDir>,
+        limits: Limits,
+        policy: Policy,
+        reserve_bytes: u64,
+        env: Env,
+    ) -> Bench {
+        effigy::webhooks::install_cryptography();
+        let store = Arc::new(Store::open(&root).unwrap().with_reserve(reserve_bytes));
         // The API only asks whether the body is there.
         std::fs::write(store.bodies().join("default.body.npz"), b"").unwrap();
         let policy = Policy { backoff: std::time::Duration::from_millis(10), ..policy };
@@ -201,6 +222,15 @@ impl Bench {
             files: sealed.collect(),
         };
         self.queue.succeed(lease, avatar).await.unwrap();
+    }
+
+    /// The database itself is whole.
+    async fn check_integrity(&self) {
+        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(self.store.database());
+        let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
+        let said: String = sqlx::query_scalar("PRAGMA integrity_check").fetch_one(&pool).await.unwrap();
+        assert_eq!(said, "ok");
+        pool.close().await;
     }
 
     /// Nothing of a refused upload is left.

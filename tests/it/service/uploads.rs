@@ -166,7 +166,8 @@ async fn bad_cameras_and_poses_are_refused() {
 #[tokio::test]
 async fn what_is_no_form_is_refused() {
     let bench = Bench::new().await;
-    bench.call(Method::POST, "/v1/jobs", &[("content-type", "application/json")], "{}").await.problem(415);
+    bench.call(Method::POST, "/v1/jobs", &[("content-type", "text/plain")], "{}").await.problem(415);
+    bench.call(Method::POST, "/v1/jobs", &[("content-type", "application/json")], "{}").await.problem(400);
     bench.post("/v1/jobs").await.problem(415);
     let mut cut = Form::clip().body();
     cut.truncate(cut.len() / 2);
@@ -176,7 +177,7 @@ async fn what_is_no_form_is_refused() {
 
 #[tokio::test]
 async fn too_much_is_refused_with_the_limit() {
-    let bench = Bench::with_limits(Limits { upload_bytes: 100_000 }).await;
+    let bench = Bench::with_limits(Limits { upload_bytes: 100_000, ..Limits::default() }).await;
     let large = Form::clip().with("video", vec![0; 200_000]);
     let problem = bench.upload(&large).await.problem(413);
     assert_eq!((&problem["part"], &problem["expected"]), (&json!("video"), &json!("at most 100000 bytes")));

@@ -1,0 +1,331 @@
+//! `/v1/uploads`: uploads that go on after a cut, by the tus protocol 1.0.0 (<https://tus.io/protocols/resumable-upload>)
+//! with its extensions creation, termination, checksum and expiration.
+//!
+//! An upload is in the store (`storage/resumable.rs`), so it outlives the server. A job is made of finished uploads by
+//! their ids (`jobs/create.rs`), which uses them up.
+
+mod headers;
+mod piece;
+mod turns;
+
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use axum::extract::{DefaultBodyLimit, Path, Request, State};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+use uuid::Uuid;
+
+use super::App;
+use super::access::{BytesLeft, Caller};
+use super::error::{ApiError, Problem};
+use super::extract::{parse_id, unknown};
+use crate::jobs::QueueError;
+use crate::storage::{AboutUpload, ResumableUpload};
+
+pub(super) use turns::{Turn, Turns};
+
+const VERSION: HeaderValue = HeaderValue::from_static("1.0.0");
+
+pub(super) fn router() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
+        .routes(routes!(options, begin))
+        .routes(routes!(look, append, remove, overridden))
+        .layer(DefaultBodyLimit::disable())
+        .layer(axum::middleware::from_fn(speak))
+}
+
+/// Every answer tells the protocol's version, and every request but the first question must.
+async fn speak(request: Request, next: Next) -> Response {
+    let version = request.headers().get(headers::RESUMABLE);
+    let mut response = if request.method() != Method::OPTIONS && version != Some(&VERSION) {
+        let detail = format!("Tus-Resumable is {version:?}");
+        let mut response = ApiError::Precondition { detail, expected: "Tus-Resumable: 1.0.0".into() }.into_response();
+        response.headers_mut().insert(headers::VERSION, VERSION);
+        response
+    } else {
+        next.run(request).await
+    };
+    response.headers_mut().insert(headers::RESUMABLE, VERSION);
+    response
+}
+
+/// Ask what the server can do with resumable uploads (tus 1.0.0).
+#[utoipa::path(
+    options, path = "/v1/uploads", tag = "uploads",
+    responses((status = 204, description = "Its abilities are in the headers", headers(
+        ("tus-version" = String), ("tus-extension" = String), ("tus-max-size" = u64, description = "Bytes"),
+        ("tus-checksum-algorithm" = String))))
+)]
+async fn options(State(app): State<App>) -> Response {
+    let abilities = [
+        (headers::VERSION, "1.0.0".to_string()),
+        (headers::EXTENSION, "creation,termination,checksum,expiration".into()),
+        (headers::MAX_SIZE, app.limits.upload_bytes.to_string()),
+        (headers::CHECKSUM_ALGORITHM, "sha1,sha256".into()),
+    ];
+    (StatusCode::NO_CONTENT, abilities).into_response()
+}
+
+/// Begin an upload that can be resumed (tus 1.0.0, creation).
+///
+/// `Upload-Length` is required. The bytes follow by `PATCH`; a finished upload is given to `POST /v1/jobs` by its id.
+#[utoipa::path(
+    post, path = "/v1/uploads", tag = "uploads",
+    params(
+        ("tus-resumable" = String, Header, description = "1.0.0"),
+        ("upload-length" = u64, Header, description = "Bytes that will come"),
+        ("upload-metadata" = Option<String>, Header, description = "Given back as it is"),
+    ),
+    responses(
+        (status = 201, description = "The upload has begun", headers(
+            ("location" = String, description = "Where its bytes go; the last part is its id"),
+            ("upload-expires" = String, description = "When it is removed if nothing more comes"))),
+        (status = 400, description = "No length", body = Problem, content_type = "application/problem+json"),
+        (status = 412, description = "Another version of the protocol", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 413, description = "Larger than the server takes", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 429, description = "So many uploads are open, or so large ones, that no more are taken",
+            body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "The server's disk has no room for it", body = Problem,
+            content_type = "application/problem+json"),
+    )
+)]
+async fn begin(State(app): State<App>, caller: Caller, given: HeaderMap) -> Result<Response, ApiError> {
+    let bytes = headers::number(&given, headers::LENGTH)?;
+    let limits = &app.limits;
+    if bytes > limits.upload_bytes {
+        let detail = format!("the upload would have {bytes} bytes");
+        return Err(ApiError::TooLarge { detail, part: None, limit_bytes: limits.upload_bytes });
+    }
+    let metadata = headers::metadata(&given)?;
+    let id = Uuid::new_v4();
+    // One at a time, so that the limits hold.
+    let _turn = app.uploads.take(Uuid::nil()).await?;
+    let quota = caller.bytes_left(&app).await?;
+    let (store, about) = (app.store.clone(), AboutUpload { bytes, metadata, owner: caller.key_id() });
+    let (most, most_bytes) = (limits.open_uploads, limits.open_upload_bytes);
+    let begun = tokio::task::spawn_blocking(move || {
+        let open = store.open_resumables()?;
+        refuse_too_many(&open, bytes, most, most_bytes)?;
+        refuse_beyond_quota(&open, &about, quota)?;
+        // What was promised to others has a claim on the room, too.
+        let outstanding = open.iter().map(|(other, came)| other.bytes.saturating_sub(*came)).sum::<u64>();
+        if !store.has_room(outstanding.saturating_add(bytes)) {
+            return Err(ApiError::DiskReserve {
+                free_bytes: store.free_bytes()?,
+                reserve_bytes: store.reserve_bytes(),
+            });
+        }
+        store.begin_resumable(id, &about)?;
+        Ok(())
+    });
+    begun.await.map_err(ApiError::internal)??;
+    let location = [(header::LOCATION, format!("/v1/uploads/{id}"))];
+    let expires = [(headers::EXPIRES, expires(limits.upload_ttl, SystemTime::now()))];
+    Ok((StatusCode::CREATED, location, expires).into_response())
+}
+
+fn refuse_too_many(open: &[(AboutUpload, u64)], bytes: u64, most: usize, most_bytes: u64) -> Result<(), ApiError> {
+    if open.len() >= most {
+        return Err(ApiError::TooManyUploads { expected: format!("at most {most} uploads that no job has used yet") });
+    }
+    let total = open.iter().map(|(about, _)| about.bytes).sum::<u64>();
+    if total.saturating_add(bytes) > most_bytes {
+        return Err(ApiError::TooManyUploads {
+            expected: format!("at most {most_bytes} bytes in uploads that no job has used yet; there are {total}"),
+        });
+    }
+    Ok(())
+}
+
+/// Open uploads count towards the bytes that a key may keep.
+fn refuse_beyond_quota(
+    open: &[(AboutUpload, u64)],
+    asked: &AboutUpload,
+    quota: Option<BytesLeft>,
+) -> Result<(), ApiError> {
+    let Some(BytesLeft { limit, left }) = quota else { return Ok(()) };
+    let own = open.iter().filter(|(about, _)| about.owner == asked.owner).map(|(about, _)| about.bytes).sum::<u64>();
+    if own.saturating_add(asked.bytes) > left {
+        return Err(QueueError::Quota { what: "bytes kept", limit }.into());
+    }
+    Ok(())
+}
+
+/// Ask how much of an upload has come (tus 1.0.0).
+///
+/// A request that still sends bytes to this upload is cut first, so that the answer stays true.
+#[utoipa::path(
+    head, path = "/v1/uploads/{id}", tag = "uploads",
+    params(("id" = String, Path, description = "The upload's id"), ("tus-resumable" = String, Header, description = "1.0.0")),
+    responses(
+        (status = 200, description = "The upload", headers(
+            ("upload-offset" = u64, description = "Bytes that have come"), ("upload-length" = u64),
+            ("upload-expires" = String), ("upload-metadata" = String))),
+        (status = 404, description = "No such upload"),
+    )
+)]
+async fn look(State(app): State<App>, caller: Caller, Path(id): Path<String>) -> Result<Response, ApiError> {
+    let (upload, _turn) = take(&app, &caller, &id).await?;
+    let mut response = StatusCode::OK.into_response();
+    let answer = response.headers_mut();
+    answer.insert(headers::OFFSET, upload.offset.into());
+    answer.insert(headers::LENGTH, upload.about.bytes.into());
+    answer.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    answer.insert(headers::EXPIRES, headers::text(&expires(app.limits.upload_ttl, upload.touched)));
+    if let Some(metadata) = &upload.about.metadata {
+        answer.insert(headers::METADATA, headers::text(metadata));
+    }
+    Ok(response)
+}
+
+/// Send the next bytes of an upload (tus 1.0.0).
+///
+/// What has come before a cut is kept. With `Upload-Checksum` a piece is kept whole or not at all.
+#[utoipa::path(
+    patch, path = "/v1/uploads/{id}", tag = "uploads",
+    params(
+        ("id" = String, Path, description = "The upload's id"),
+        ("tus-resumable" = String, Header, description = "1.0.0"),
+        ("upload-offset" = u64, Header, description = "Where the bytes belong: what the last answer told"),
+        ("upload-checksum" = Option<String>, Header, description = "`sha1` or `sha256`, a space, the hash in base64"),
+    ),
+    request_body(content = Vec<u8>, content_type = "application/offset+octet-stream"),
+    responses(
+        (status = 204, description = "The bytes are on the disk", headers(
+            ("upload-offset" = u64, description = "Bytes that have come"), ("upload-expires" = String))),
+        (status = 400, description = "A header is missing or wrong, or the body ended early", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 404, description = "No such upload", body = Problem, content_type = "application/problem+json"),
+        (status = 408, description = "The bytes came too slowly", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 409, description = "The offset is not that of the upload", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 413, description = "More bytes than the upload's length", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 415, description = "Not application/offset+octet-stream", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 460, description = "The checksum is another", body = Problem,
+            content_type = "application/problem+json"),
+    )
+)]
+async fn append(
+    State(app): State<App>,
+    caller: Caller,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, ApiError> {
+    let (upload, turn) = take(&app, &caller, &id).await?;
+    let offset = piece::append(&app.store, &upload, turn, request).await?;
+    let told =
+        [(headers::OFFSET, offset.to_string()), (headers::EXPIRES, expires(app.limits.upload_ttl, SystemTime::now()))];
+    Ok((StatusCode::NO_CONTENT, told).into_response())
+}
+
+/// Give an upload up (tus 1.0.0, termination).
+#[utoipa::path(
+    delete, path = "/v1/uploads/{id}", tag = "uploads",
+    params(("id" = String, Path, description = "The upload's id"), ("tus-resumable" = String, Header, description = "1.0.0")),
+    responses(
+        (status = 204, description = "The upload is gone"),
+        (status = 404, description = "No such upload", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+async fn remove(State(app): State<App>, caller: Caller, Path(id): Path<String>) -> Result<Response, ApiError> {
+    let (upload, _turn) = take(&app, &caller, &id).await?;
+    let store = app.store.clone();
+    tokio::task::spawn_blocking(move || store.remove_resumable(upload.id)).await.map_err(ApiError::internal)??;
+    Ok(StatusCode::NO_CONTENT.into_response())
+}
+
+/// `PATCH`, `DELETE` or `HEAD` for clients that can only `POST`: `X-HTTP-Method-Override` names the method.
+#[utoipa::path(
+    post, path = "/v1/uploads/{id}", tag = "uploads",
+    params(
+        ("id" = String, Path, description = "The upload's id"),
+        ("x-http-method-override" = String, Header, description = "PATCH, DELETE or HEAD"),
+    ),
+    responses(
+        (status = 204, description = "As the method answers"),
+        (status = 405, description = "Another method, or none", body = Problem,
+            content_type = "application/problem+json"),
+    )
+)]
+async fn overridden(app: State<App>, caller: Caller, id: Path<String>, request: Request) -> Result<Response, ApiError> {
+    match request.headers().get("x-http-method-override").map(HeaderValue::as_bytes) {
+        Some(b"PATCH") => append(app, caller, id, request).await,
+        Some(b"DELETE") => remove(app, caller, id).await,
+        Some(b"HEAD") => look(app, caller, id).await,
+        _ => Err(ApiError::MethodNotAllowed(format!("POST {}", request.uri().path()))),
+    }
+}
+
+/// An upload, for this request alone. Another's is as unknown as one that does not exist.
+pub(super) async fn take(app: &App, caller: &Caller, id: &str) -> Result<(ResumableUpload, Turn), ApiError> {
+    let known = parse_id("upload", id)?;
+    let about = app.store.about_resumable(known)?.ok_or_else(|| unknown("upload", id))?;
+    if caller.sees_only().is_some_and(|only| about.owner != Some(only)) {
+        return Err(unknown("upload", id));
+    }
+    let turn = app.uploads.take(known).await?;
+    let store = app.store.clone();
+    let found = tokio::task::spawn_blocking(move || store.resumable(known)).await.map_err(ApiError::internal)??;
+    Ok((found.ok_or_else(|| unknown("upload", id))?, turn))
+}
+
+fn expires(ttl: Duration, touched: SystemTime) -> String {
+    httpdate::fmt_http_date(touched + ttl)
+}
+
+/// How often uploads are looked through for those that nobody goes on with.
+const SWEEP: Duration = Duration::from_secs(60);
+
+/// Removes uploads for which nothing came for so long that they have expired. For ever.
+pub(super) async fn sweep(app: App) {
+    loop {
+        app.expire_uploads().await;
+        tokio::time::sleep(SWEEP.min(app.limits.upload_ttl)).await;
+    }
+}
+
+impl App {
+    /// One look through the uploads.
+    pub async fn expire_uploads(&self) {
+        let store = self.store.clone();
+        match tokio::task::spawn_blocking(move || store.resumable_ids()).await {
+            Ok(Ok(ids)) => {
+                for id in ids {
+                    if let Err(error) = expire(self, id).await {
+                        tracing::warn!(upload = %id, %error, "an expired upload stays");
+                    }
+                }
+            }
+            Ok(Err(error)) => tracing::warn!(%error, "the uploads cannot be looked through"),
+            Err(error) => tracing::error!(%error, "looking through the uploads panicked"),
+        }
+    }
+}
+
+async fn expire(app: &App, id: Uuid) -> Result<(), ApiError> {
+    let now = UNIX_EPOCH + Duration::from_millis(app.env.now().0.max(0) as u64);
+    // An upload whose last bytes are of the future is young: the clock was set back.
+    let is_old = || match app.store.resumable_touched(id) {
+        Ok(touched) => now.duration_since(touched).is_ok_and(|age| age > app.limits.upload_ttl),
+        Err(_) => false,
+    };
+    // The look itself cuts nobody off: whoever still sends has touched it.
+    if !is_old() {
+        return Ok(());
+    }
+    let _turn = app.uploads.take(id).await?;
+    if is_old() {
+        let store = app.store.clone();
+        tokio::task::spawn_blocking(move || store.remove_resumable(id)).await.map_err(ApiError::internal)??;
+        tracing::info!(upload = %id, "an upload has expired");
+    }
+    Ok(())
+}

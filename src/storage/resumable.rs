@@ -1,0 +1,263 @@
+//! Uploads that come in pieces, and outlive the connection and the server that they came through.
+//!
+//! ```text
+//! <data>/uploads/<id>/about.json    length and metadata; written once
+//! <data>/uploads/<id>/data          what has come so far: its length is the offset
+//! <data>/uploads/<id>/unverified    while a piece with a checksum comes: the offset before it
+//! ```
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use serde::{Deserialize, Serialize};
+use tokio::io::{AsyncSeekExt, AsyncWriteExt, BufWriter};
+use uuid::Uuid;
+
+use super::{Store, names, sync_dir, write_atomic};
+
+const BUFFER_BYTES: usize = 1 << 20;
+/// The disk is asked for room before each such stretch.
+const LOOK_BYTES: u64 = 16 << 20;
+
+/// What a client told of an upload when it began it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AboutUpload {
+    pub bytes: u64,
+    /// As the client wrote it.
+    pub metadata: Option<String>,
+    /// The API key that it came with.
+    pub owner: Option<Uuid>,
+}
+
+/// An upload as it stands.
+#[derive(Clone, Debug)]
+pub struct ResumableUpload {
+    pub id: Uuid,
+    pub about: AboutUpload,
+    /// So much has come.
+    pub offset: u64,
+    /// When something last came.
+    pub touched: SystemTime,
+}
+
+impl ResumableUpload {
+    pub fn is_whole(&self) -> bool {
+        self.offset == self.about.bytes
+    }
+}
+
+impl Store {
+    pub(super) fn uploads(&self) -> PathBuf {
+        self.root.join("uploads")
+    }
+
+    fn resumable_folder(&self, id: Uuid) -> PathBuf {
+        self.uploads().join(id.to_string())
+    }
+
+    /// Where the bytes of an upload are.
+    pub fn resumable_data(&self, id: Uuid) -> PathBuf {
+        self.resumable_folder(id).join("data")
+    }
+
+    /// Begins an upload: it is there whole or not at all.
+    pub fn begin_resumable(&self, id: Uuid, about: &AboutUpload) -> io::Result<()> {
+        let making = self.tmp().join(format!("resumable-{id}"));
+        fs::create_dir(&making)?;
+        write_atomic(&making.join("about.json"), &serde_json::to_vec(about)?)?;
+        fs::File::create_new(making.join("data"))?.sync_all()?;
+        sync_dir(&making)?;
+        fs::rename(&making, self.resumable_folder(id))?;
+        sync_dir(&self.uploads())
+    }
+
+    /// What was told of an upload at its beginning.
+    pub fn about_resumable(&self, id: Uuid) -> io::Result<Option<AboutUpload>> {
+        match fs::read(self.resumable_folder(id).join("about.json")) {
+            Ok(about) => Ok(Some(serde_json::from_slice(&about)?)),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// An upload; None where there is none of this id. Not while a piece of it comes: what a killed server left
+    /// unverified is cut off.
+    pub fn resumable(&self, id: Uuid) -> io::Result<Option<ResumableUpload>> {
+        let folder = self.resumable_folder(id);
+        let Some(about) = self.about_resumable(id)? else { return Ok(None) };
+        cut_unverified(&folder)?;
+        let data = folder.join("data").metadata()?;
+        Ok(Some(ResumableUpload { id, about, offset: data.len(), touched: data.modified()? }))
+    }
+
+    /// All uploads, with the bytes of each that have come.
+    pub fn open_resumables(&self) -> io::Result<Vec<(AboutUpload, u64)>> {
+        let mut open = Vec::new();
+        for id in self.resumable_ids()? {
+            if let Some(about) = self.about_resumable(id)? {
+                // One that is removed meanwhile has nothing.
+                let came = self.resumable_data(id).metadata().map_or(0, |data| data.len());
+                open.push((about, came));
+            }
+        }
+        Ok(open)
+    }
+
+    pub fn resumable_ids(&self) -> io::Result<Vec<Uuid>> {
+        Ok(names(&self.uploads())?.iter().filter_map(|name| name.parse().ok()).collect())
+    }
+
+    /// When something last came for an upload.
+    pub fn resumable_touched(&self, id: Uuid) -> io::Result<SystemTime> {
+        self.resumable_data(id).metadata()?.modified()
+    }
+
+    /// Removes an upload at once; false where there is none.
+    pub fn remove_resumable(&self, id: Uuid) -> io::Result<bool> {
+        let grave = self.tmp().join(format!("deleted-{}", Uuid::new_v4()));
+        match fs::rename(self.resumable_folder(id), &grave) {
+            Ok(()) => fs::remove_dir_all(grave).map(|()| true),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Opens an upload for its next piece. Where the piece is to be verified, a crash before that takes it back.
+    pub async fn append_resumable(&self, upload: &ResumableUpload, verified: bool) -> io::Result<Appender> {
+        let folder = self.resumable_folder(upload.id);
+        if verified {
+            let (folder, offset) = (folder.clone(), upload.offset);
+            let marked = tokio::task::spawn_blocking(move || mark_unverified(&folder, offset));
+            marked.await.map_err(io::Error::other)??;
+        }
+        let mut file = tokio::fs::OpenOptions::new().write(true).open(folder.join("data")).await?;
+        file.seek(io::SeekFrom::End(0)).await?;
+        let file = BufWriter::with_capacity(BUFFER_BYTES, file);
+        Ok(Appender { store: self.clone(), folder, file, offset: upload.offset, looked: 0 })
+    }
+}
+
+fn mark_unverified(folder: &Path, offset: u64) -> io::Result<()> {
+    write_atomic(&folder.join("unverified"), offset.to_string().as_bytes())
+}
+
+fn cut_unverified(folder: &Path) -> io::Result<()> {
+    let mark = folder.join("unverified");
+    let offset = match fs::read_to_string(&mark) {
+        Ok(offset) => offset.parse::<u64>().map_err(io::Error::other)?,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        Err(error) => return Err(error),
+    };
+    let data = fs::OpenOptions::new().write(true).open(folder.join("data"))?;
+    data.set_len(offset)?;
+    data.sync_all()?;
+    fs::remove_file(mark)?;
+    sync_dir(folder)
+}
+
+/// A piece of an upload on its way to the disk.
+pub struct Appender {
+    store: Store,
+    folder: PathBuf,
+    file: BufWriter<tokio::fs::File>,
+    offset: u64,
+    /// Up to here the disk was found to have room.
+    looked: u64,
+}
+
+impl Appender {
+    /// An error of kind `StorageFull` where the disk's reserve would be touched.
+    pub async fn write(&mut self, chunk: &[u8]) -> io::Result<()> {
+        let end = self.offset + chunk.len() as u64;
+        if end > self.looked {
+            self.looked = self.offset + LOOK_BYTES;
+            if !self.store.has_room(chunk.len() as u64) {
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+        }
+        self.file.write_all(chunk).await?;
+        self.offset = end;
+        Ok(())
+    }
+
+    /// Flushes what came to the disk; returns the offset. A marked piece stays unverified.
+    pub async fn keep(mut self) -> io::Result<u64> {
+        self.file.flush().await?;
+        self.file.get_ref().sync_all().await?;
+        Ok(self.offset)
+    }
+
+    /// Flushes a marked piece that was found right.
+    pub async fn verify(self) -> io::Result<u64> {
+        let folder = self.folder.clone();
+        let offset = self.keep().await?;
+        tokio::fs::remove_file(folder.join("unverified")).await?;
+        tokio::task::spawn_blocking(move || sync_dir(&folder)).await.map_err(io::Error::other)??;
+        Ok(offset)
+    }
+
+    /// Takes a marked piece back.
+    pub async fn take_back(self) -> io::Result<()> {
+        let Appender { folder, mut file, .. } = self;
+        // What the buffer still writes comes before the cut.
+        let flushed = file.flush().await;
+        drop(file);
+        tokio::task::spawn_blocking(move || cut_unverified(&folder)).await.map_err(io::Error::other)??;
+        flushed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn begin(store: &Store, bytes: u64) -> Uuid {
+        let id = Uuid::new_v4();
+        store.begin_resumable(id, &AboutUpload { bytes, metadata: Some("name eA==".into()), owner: None }).unwrap();
+        id
+    }
+
+    #[tokio::test]
+    async fn pieces_add_up_and_a_reopened_store_knows_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let id = begin(&store, 6);
+        for piece in [b"abc", b"def"] {
+            let upload = Store::open(folder.path()).unwrap().resumable(id).unwrap().unwrap();
+            assert!(!upload.is_whole());
+            let mut appender = store.append_resumable(&upload, false).await.unwrap();
+            appender.write(piece).await.unwrap();
+            assert_eq!(appender.keep().await.unwrap(), upload.offset + 3);
+        }
+        let upload = store.resumable(id).unwrap().unwrap();
+        assert!(upload.is_whole() && upload.about.metadata.as_deref() == Some("name eA=="));
+        assert_eq!(fs::read(store.resumable_data(id)).unwrap(), b"abcdef");
+        assert_eq!(store.open_resumables().unwrap(), [(upload.about, 6)]);
+        assert!(store.remove_resumable(id).unwrap() && !store.remove_resumable(id).unwrap());
+        assert!(store.resumable(id).unwrap().is_none());
+    }
+
+    #[tokio::test]
+    async fn an_unverified_piece_does_not_survive() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let id = begin(&store, 9);
+        let append = async |piece: &[u8]| {
+            let upload = store.resumable(id).unwrap().unwrap();
+            let mut appender = store.append_resumable(&upload, true).await.unwrap();
+            appender.write(piece).await.unwrap();
+            appender
+        };
+        append(b"abc").await.verify().await.unwrap();
+        append(b"xxx").await.take_back().await.unwrap();
+        assert_eq!(store.resumable(id).unwrap().unwrap().offset, 3);
+        // A crash after the bytes reached the disk.
+        append(b"yyy").await.keep().await.unwrap();
+        assert_eq!(fs::read(store.resumable_data(id)).unwrap(), b"abcyyy");
+        assert_eq!(store.resumable(id).unwrap().unwrap().offset, 3);
+        append(b"def").await.verify().await.unwrap();
+        assert_eq!(fs::read(store.resumable_data(id)).unwrap(), b"abcdef");
+    }
+}
