@@ -28,6 +28,8 @@ pub struct Weights {
     pub laplacian: f32,
     /// On accelerations, a frame.
     pub motion: f32,
+    /// On the joints' way from where the stage found them, a frame.
+    pub anchor: f32,
 }
 
 impl Weights {
@@ -113,6 +115,10 @@ pub struct FitConfig {
     pub silhouette_gradient: SilhouetteGradient,
     /// Whether each phase of stage 1 starts from the face colours that are best for its geometry, solved in closed form.
     pub solve_face_colours: bool,
+    /// The part of the clip over which steps of pose and placement are spread; 0: each frame steps for itself.
+    pub pose_smoothing: f32,
+    /// Whether the keypoints of the hips count besides those of limbs and nose, as stage 0 has understood them.
+    pub hip_keypoints: bool,
     /// Whether the light is told from the albedo ([`crate::ops::light`]); else the colours hold both.
     pub light: bool,
     pub rates: Rates,
@@ -153,6 +159,8 @@ impl FitConfig {
             frame_sampling: FrameSampling::ByError,
             silhouette_gradient: SilhouetteGradient::Edge,
             solve_face_colours: true,
+            pose_smoothing: 1.0 / 30.0,
+            hip_keypoints: true,
             light: true,
             rates: Rates {
                 betas: 1e-2,
@@ -204,10 +212,14 @@ impl FitConfig {
         config.rates.offsets = DIRECT_OFFSET_RATE;
         config.frame_sampling = FrameSampling::Uniform;
         config.solve_face_colours = false;
-        config.geometry.weights.motion = 0.0;
+        config.pose_smoothing = 0.0;
+        config.hip_keypoints = false;
+        config.geometry.weights.keypoints = 0.02;
+        for weights in [&mut config.geometry.weights, &mut config.texture.weights] {
+            (weights.motion, weights.anchor) = (0.0, 0.0);
+        }
         config.geometry.phases =
             vec![Phase { epochs: 10, offsets: false, ..plain.clone() }, Phase { epochs: 40, ..plain.clone() }];
-        config.texture.weights.motion = 0.0;
         config.texture.phases = vec![Phase { epochs: 40, pose_rate: 0.3, ..plain }];
         config.pixel_rate = 1.0;
         config
@@ -222,11 +234,12 @@ const GEOMETRY: Weights = Weights {
     rgb: 1.0,
     rgb_soft: 1.0,
     silhouette: 2.0,
-    keypoints: 0.02,
+    keypoints: 0.05,
     normal_consistency: 0.2,
     face_area: 0.02,
     laplacian: 0.5,
     motion: 2e-3,
+    anchor: 2e-3,
 };
 
 const TEXTURE: Weights =

@@ -1,12 +1,8 @@
 //! Parameter groups: values, gradients and optimiser state on the device.
 
-use super::config::Rates;
-use super::schedule::Step;
-use super::state::FitState;
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::adam::{Adam, AdamConfig, UniformAdam};
 use crate::ops::large_steps::LargeSteps;
-use crate::ops::skinning::PoseAt;
 
 /// A group that moves as a whole, or frame by frame.
 pub struct Group {
@@ -34,6 +30,10 @@ impl Group {
             steps: vec![0; start.len() / stride.max(1)],
             stride,
         }
+    }
+
+    pub fn n_frames(&self) -> usize {
+        self.steps.len()
     }
 
     pub fn clear(&self, recorder: &mut Recorder<'_>) {
@@ -85,11 +85,10 @@ impl VertexGroup {
     /// As [`VertexGroup::step`], in the coordinates of `smooth`.
     pub fn step_in(&mut self, recorder: &mut Recorder<'_>, smooth: &SmoothCoordinates, rate: f32) {
         self.steps += 1;
-        let SmoothCoordinates { solver, start, u, grad_u, moved } = smooth;
-        solver.solve(recorder, &self.grads, grad_u);
-        self.adam.step(recorder, u, grad_u, rate, self.steps);
-        solver.solve(recorder, u, moved);
-        solver.add(recorder, start, moved, &self.values);
+        let (adam, number) = (&self.adam, self.steps);
+        smooth.step(recorder, &self.values, &self.grads, |recorder, u, grad_u| {
+            adam.step(recorder, u, grad_u, rate, number);
+        });
     }
 
     pub fn read(&self, gpu: &Gpu) -> Result<Vec<f32>, GpuError> {
@@ -107,56 +106,25 @@ pub struct SmoothCoordinates {
 }
 
 impl SmoothCoordinates {
-    /// u = 0 at the group's values. Waits.
-    pub fn new(gpu: &Gpu, solver: LargeSteps, group: &VertexGroup) -> Result<Self, GpuError> {
-        let len = group.values.len();
-        Ok(Self {
-            solver,
-            start: gpu.upload("fit/smooth/start", &gpu.read(&group.values)?),
-            u: gpu.zeros("fit/smooth/u", len),
-            grad_u: gpu.zeros("fit/smooth/grad_u", len),
-            moved: gpu.zeros("fit/smooth/moved", len),
-        })
-    }
-}
-
-/// Pose and placement of all frames: the paper's θᵢ, Rᵢ and tᵢ.
-pub struct PoseGroups {
-    pub poses: Group,
-    pub transl: Group,
-}
-
-impl PoseGroups {
-    pub fn new(gpu: &Gpu, state: &FitState) -> Self {
-        let config = AdamConfig::default();
-        Self {
-            poses: Group::per_frame(gpu, "poses", &state.poses, 72, config),
-            transl: Group::per_frame(gpu, "transl", &state.transl, 3, config),
-        }
+    /// u = 0 at `start`.
+    pub fn new(gpu: &Gpu, solver: LargeSteps, start: &[f32]) -> Self {
+        let zeros = |name: &str| gpu.zeros(&format!("fit/smooth/{name}"), start.len());
+        let start = gpu.upload("fit/smooth/start", start);
+        Self { solver, start, u: zeros("u"), grad_u: zeros("grad_u"), moved: zeros("moved") }
     }
 
-    pub fn at(&self, frame: usize) -> PoseAt<'_> {
-        PoseAt { poses: &self.poses.values, transl: &self.transl.values, frame }
-    }
-
-    pub fn grad_at(&self, frame: usize) -> PoseAt<'_> {
-        PoseAt { poses: &self.poses.grads, transl: &self.transl.grads, frame }
-    }
-
-    pub fn clear(&self, recorder: &mut Recorder<'_>) {
-        self.poses.clear(recorder);
-        self.transl.clear(recorder);
-    }
-
-    pub(super) fn step(&mut self, recorder: &mut Recorder<'_>, rates: &Rates, step: &Step<'_>) {
-        let rate = step.rate * step.phase.pose_rate;
-        self.poses.step(recorder, step.frames, rates.pose * rate);
-        self.transl.step(recorder, step.frames, rates.transl * rate);
-    }
-
-    pub fn read_into(&self, gpu: &Gpu, state: &mut FitState) -> Result<(), GpuError> {
-        state.poses = self.poses.read(gpu)?;
-        state.transl = self.transl.read(gpu)?;
-        Ok(())
+    /// Records a step of u down the gradient `grads` by the values, as `step` takes it from the gradient by u, and then the
+    /// values.
+    pub fn step(
+        &self,
+        recorder: &mut Recorder<'_>,
+        values: &Buffer<f32>,
+        grads: &Buffer<f32>,
+        step: impl FnOnce(&mut Recorder<'_>, &Buffer<f32>, &Buffer<f32>),
+    ) {
+        self.solver.solve(recorder, grads, &self.grad_u);
+        step(recorder, &self.u, &self.grad_u);
+        self.solver.solve(recorder, &self.u, &self.moved);
+        self.solver.add(recorder, &self.start, &self.moved, values);
     }
 }

@@ -1,4 +1,5 @@
-//! The keypoint loss of a frame: limbs and nose only (paper §3.5), in pixels of the full-resolution image.
+//! The keypoint loss of a frame, in pixels of the full-resolution image: limbs and nose (paper §3.5), and hips where asked
+//! for. Under clothes nothing else tells how high the hips lie.
 
 use super::scene::Scene;
 use crate::body::{Body, KeypointSet};
@@ -8,12 +9,12 @@ use crate::gpu::{Buffer, Gpu, Recorder};
 use crate::ops::LossSlot;
 use crate::ops::keypoints::{KeypointGather, KeypointLoss};
 
-/// Indices of nose, elbows, wrists, knees and ankles.
-fn limbs_and_nose(format: &str) -> &'static [usize] {
+/// Indices of nose, elbows, wrists, knees and ankles, then of the hips.
+fn points_of(format: &str) -> (&'static [usize], [usize; 2]) {
     match format {
-        "coco17" => &[0, 7, 8, 9, 10, 13, 14, 15, 16],
-        "coco18" => &[0, 3, 4, 6, 7, 9, 10, 12, 13],
-        _ => &[0, 3, 4, 6, 7, 10, 11, 13, 14], // body25
+        "coco17" => (&[0, 7, 8, 9, 10, 13, 14, 15, 16], [11, 12]),
+        "coco18" => (&[0, 3, 4, 6, 7, 9, 10, 12, 13], [8, 11]),
+        _ => (&[0, 3, 4, 6, 7, 10, 11, 13, 14], [9, 12]), // body25
     }
 }
 
@@ -37,9 +38,10 @@ pub struct KeypointTerm {
 }
 
 impl KeypointTerm {
-    pub fn new(gpu: &Gpu, body: &Body, capture: &Capture, camera: &Camera) -> Option<Self> {
+    pub fn new(gpu: &Gpu, body: &Body, capture: &Capture, camera: &Camera, with_hips: bool) -> Option<Self> {
         let set: &KeypointSet = body.keypoint_set(&capture.keypoint_format)?;
-        let used = limbs_and_nose(&capture.keypoint_format);
+        let (limbs, hips) = points_of(&capture.keypoint_format);
+        let used = if with_hips { [limbs, &hips].concat() } else { limbs.to_vec() };
         let n = set.points.len();
         let mut targets = Vec::with_capacity(capture.frames.len() * n * 3);
         for frame in &capture.frames {

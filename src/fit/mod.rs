@@ -11,6 +11,7 @@ mod look;
 mod losses;
 mod mesh_losses;
 mod motion;
+mod poses;
 mod scene;
 mod schedule;
 mod shape;
@@ -33,8 +34,8 @@ use crate::capture::Capture;
 use crate::gpu::{Gpu, GpuError};
 use crate::npz::NpzError;
 use crate::ops::Topology;
-use groups::PoseGroups;
 use look::{Lit, solve_face_colours};
+use poses::PoseGroups;
 use scene::Scene;
 use schedule::{Outside, Step, Work};
 use shape::Shape;
@@ -142,7 +143,7 @@ fn run_stage(
 /// Face colours and light for a geometry that was fitted without looking at colours.
 fn solve_colours(scene: &Scene, inputs: &Inputs<'_>, state: &mut FitState) -> Result<(), FitError> {
     Shape::stand(scene, state)?;
-    let (faces, poses) = (&inputs.body.faces, PoseGroups::new(&scene.gpu, state));
+    let (faces, poses) = (&inputs.body.faces, PoseGroups::new(&scene.gpu, inputs.config, state));
     let mut lit = inputs.config.light.then(|| Lit::new(&scene.gpu, faces, inputs.topology, state.light));
     state.face_colours = solve_face_colours(scene, faces, lit.as_mut(), &poses, 0)?;
     state.light = lit.map_or(state.light, |lit| lit.light);

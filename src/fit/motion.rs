@@ -1,27 +1,46 @@
-//! Smooth motion of the person over time, for both stages: a frame alone says little about its depth.
+//! What is expected of poses besides the pictures, for both stages: smooth motion, since a frame alone says little about its
+//! depth, and joints near where the stage found them.
 
-use super::groups::PoseGroups;
+use super::config::Weights;
+use super::poses::PoseGroups;
 use crate::gpu::{Gpu, Recorder};
+use crate::ops::anchor::{Anchor, AnchorConfig};
 use crate::ops::temporal::{Temporal, TemporalConfig};
 
-/// Penalties on the accelerations of pose and placement.
+/// Changes from one frame to the next above these are no motion: radians, metres.
+pub const POSE_JUMP: f32 = 0.5;
+pub const PLACE_JUMP: f32 = 0.1;
+
+/// Penalties on the accelerations of pose and placement, and on the way of the joints' angles from the stage's start.
 pub struct Motion {
     pose: Temporal,
     transl: Temporal,
+    anchor: Anchor,
 }
 
 impl Motion {
-    pub fn new(gpu: &Gpu) -> Self {
+    /// `start [N, 72]`: the poses that the joints are held near.
+    pub fn new(gpu: &Gpu, start: &[f32]) -> Self {
         // Radians and metres a frame²; the root's orientation is well seen and is left free.
-        let pose = TemporalConfig { stride: 72, first: 3, scale: 0.03, max_change: 0.5 };
-        let transl = TemporalConfig { stride: 3, first: 0, scale: 0.005, max_change: 0.1 };
-        Self { pose: Temporal::new(gpu, pose), transl: Temporal::new(gpu, transl) }
+        let pose = TemporalConfig { stride: 72, first: 3, scale: 0.03, max_change: POSE_JUMP.into() };
+        let transl = TemporalConfig { stride: 3, first: 0, scale: 0.005, max_change: PLACE_JUMP.into() };
+        let anchor = AnchorConfig { stride: 72, first: 3, scale: 0.1 };
+        Self {
+            pose: Temporal::new(gpu, pose),
+            transl: Temporal::new(gpu, transl),
+            anchor: Anchor::new(gpu, anchor, start),
+        }
     }
 
-    /// Adds the gradients, times `weight` a frame.
-    pub fn record(&self, recorder: &mut Recorder<'_>, weight: f32, groups: &PoseGroups) {
-        let PoseGroups { poses, transl } = groups;
-        self.pose.backward(recorder, &poses.values, weight, &poses.grads);
-        self.transl.backward(recorder, &transl.values, weight, &transl.grads);
+    /// Adds the gradients, times `share` a frame.
+    pub fn record(&self, recorder: &mut Recorder<'_>, weights: &Weights, share: f32, groups: &PoseGroups) {
+        let PoseGroups { poses, transl, .. } = groups;
+        if weights.motion != 0.0 {
+            self.pose.backward(recorder, &poses.values, share * weights.motion, &poses.grads);
+            self.transl.backward(recorder, &transl.values, share * weights.motion, &transl.grads);
+        }
+        if weights.anchor != 0.0 {
+            self.anchor.backward(recorder, &poses.values, share * weights.anchor, &poses.grads);
+        }
     }
 }

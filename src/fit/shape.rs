@@ -54,7 +54,7 @@ impl Shape {
         self.smooth = match phase.preconditioner {
             Preconditioner::LargeSteps { lambda } => {
                 let solver = LargeSteps::new(gpu, &self.neighbours.starts, &self.neighbours.items, lambda.into());
-                Some(SmoothCoordinates::new(gpu, solver, &self.offsets)?)
+                Some(SmoothCoordinates::new(gpu, solver, &self.offsets.read(gpu)?))
             }
             _ => None,
         };

@@ -4,11 +4,11 @@
 
 use super::config::{FitConfig, Phase, StageConfig};
 use super::frame_step::{BACKGROUND, FrameStep};
-use super::groups::PoseGroups;
 use super::keypoint_term::KeypointTerm;
 use super::look::{FaceColours, Look, Texture};
 use super::losses::{Losses, Term};
 use super::motion::Motion;
+use super::poses::PoseGroups;
 use super::scene::Scene;
 use super::schedule::{Step, Work};
 use super::shape::Shape;
@@ -47,18 +47,18 @@ impl<'a> StageWork<'a> {
         if shape.is_none() {
             Shape::stand(scene, state)?;
         }
-        let keypoints = || KeypointTerm::new(gpu, inputs.body, inputs.capture, inputs.camera);
+        let keypoints = || KeypointTerm::new(gpu, inputs.body, inputs.capture, inputs.camera, config.hip_keypoints);
         Ok(Self {
             scene,
             config,
             stage,
-            poses: PoseGroups::new(gpu, state),
+            poses: PoseGroups::new(gpu, config, state),
             shape,
             look,
             soft: (weights.rgb_soft != 0.0).then(|| (SoftTerm::new(scene), RgbL1::new(gpu, scene.max_pixels))),
             silhouette: SilhouetteTerm::new(scene, config.silhouette_gradient),
             keypoints: if weights.keypoints != 0.0 { keypoints() } else { None },
-            motion: Motion::new(gpu),
+            motion: Motion::new(gpu, &state.poses),
             losses: Losses::new(scene, state.stage),
         })
     }
@@ -140,9 +140,8 @@ impl Work for StageWork<'_> {
             shape.step(&mut recorder, rates, step);
         }
         if step.phase.pose_rate != 0.0 {
-            if weights.motion != 0.0 {
-                self.motion.record(&mut recorder, weights.motion * part, &self.poses);
-            }
+            // What is recorded for all frames in each step shall weigh a pass over the clip as much as the pictures do.
+            self.motion.record(&mut recorder, weights, self.poses.share_of_a_step(step.frames.len()), &self.poses);
             self.poses.step(&mut recorder, rates, step);
         }
         self.look.step(&mut recorder, rates, step);

@@ -20,6 +20,7 @@ macro_rules! kernel {
 }
 
 pub mod adam;
+pub mod anchor;
 mod corners;
 pub mod diffuse;
 pub mod edge_gradient;

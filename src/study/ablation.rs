@@ -54,6 +54,8 @@ const CHANGES: &[Change] = &[
     Change { name: "light left in the colours", apply: |config| config.light = false },
     Change { name: "no soft image", apply: |config| no_soft_image(config) },
     Change { name: "no prior on motion", apply: |config| no_motion(config) },
+    Change { name: "poses step frame by frame", apply: |config| config.pose_smoothing = 0.0 },
+    Change { name: "no keypoints of hips", apply: |config| config.hip_keypoints = false },
 ];
 
 fn full_resolution(config: &mut FitConfig) {
@@ -109,7 +111,7 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
         truths: 4,
         ..SynthOptions::default()
     };
-    let person = Person::new(context, &options)?;
+    let mut person = Person::new(context, &options)?;
     (context.say)("finding poses and shape");
     let start = person.start(&FitConfig::standard(context.seed))?;
     let truth = Subject::open(&person.folder)?;

@@ -86,9 +86,11 @@ impl Person {
         Ok(Self { gpu: context.gpu.clone(), body: context.load_body()?, capture, folder })
     }
 
-    /// Poses and shape as stage 0 finds them in keypoints and masks.
-    pub fn start(&self, config: &FitConfig) -> Result<Fitted> {
+    /// Poses and shape as stage 0 finds them in keypoints and masks. The fits that follow see the keypoints as it has
+    /// understood them.
+    pub fn start(&mut self, config: &FitConfig) -> Result<Fitted> {
         let start = stage0::solve(&self.body, &self.capture, &Stage0Options::default(), &mut |_| true)?;
+        start.reread(&mut self.capture);
         let state = FitState::new(&self.body, start.betas, &start.poses, &start.transl, config.field, config.seed);
         Ok(Fitted { camera: start.camera, state })
     }

@@ -105,7 +105,7 @@ fn subject(
     let Settings { frames, size_px, surfaces, .. } = *settings;
     let options =
         SynthOptions { frames, size_px, truths: surfaces, outfit, side_light: 0.0, seed, ..SynthOptions::default() };
-    let person = Person::new(context, &options)?;
+    let mut person = Person::new(context, &options)?;
     let truth = person.truth(false)?;
     let start = person.start(&methods[0].1)?;
     let (surface, frame) = person.first_surface(&truth)?;

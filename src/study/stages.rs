@@ -77,7 +77,7 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
         seed: context.seed,
         ..SynthOptions::default()
     };
-    let person = Person::new(context, &options)?;
+    let mut person = Person::new(context, &options)?;
     let truth = person.truth(true)?;
     let start = person.start(&two_stages(context.seed, settings))?;
     let (surface, frame) = person.first_surface(&truth)?;

@@ -159,8 +159,9 @@ impl Start {
     fn new(gpu: &Arc<Gpu>, max_frames: u32) -> Self {
         let body = Body::test_body();
         let inputs = input(clip(gpu)).capture_inputs();
-        let capture = Capture::load(&inputs, &CaptureOptions { max_frames, max_side_px: 96 }).unwrap();
+        let mut capture = Capture::load(&inputs, &CaptureOptions { max_frames, max_side_px: 96 }).unwrap();
         let start = stage0::solve(&body, &capture, &Stage0Options::default(), &mut |_| true).unwrap();
+        start.reread(&mut capture);
         let field = FitConfig::draft(0).field;
         let state = FitState::new(&body, start.betas, &start.poses, &start.transl, field, 0);
         Self { body, capture, camera: start.camera, state }

@@ -3,8 +3,9 @@
 use super::{Lit, Look, solve_face_colours};
 use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
-use crate::fit::groups::{Group, PoseGroups};
+use crate::fit::groups::Group;
 use crate::fit::losses::Losses;
+use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
 use crate::fit::schedule::Step;
 use crate::fit::state::FitState;

@@ -4,7 +4,7 @@
 
 use super::Lit;
 use super::lamp::{Observation, albedos, solve_light};
-use crate::fit::groups::PoseGroups;
+use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
 use crate::gpu::{Buffer, GpuError};
 use crate::ops::light::Light;

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use glam::{DMat3, DVec2, DVec3};
 
+use super::prior;
 use super::problem::{ContourPoint, Pinhole, Problem};
 use super::rig::{Point, Posed};
 use super::silhouette::{Field, Grid, fill};
@@ -29,6 +30,9 @@ const ALIKE: f64 = 0.6;
 const REACH: f64 = 0.06;
 /// Ankles and toes, head, wrists and hands: shoes and hair are always larger than what they cover.
 const DRESSED_JOINTS: [u32; 9] = [7, 8, 10, 11, 15, 20, 21, 22, 23];
+const PELVIS: u32 = 0;
+const LEFT_HIP: u32 = 1;
+const RIGHT_HIP: u32 = 2;
 /// Distance from the picture's border in pixels where masks end without being a person's edge.
 const BORDER_PX: f64 = 3.0;
 
@@ -47,6 +51,10 @@ pub fn refine(
         return Ok(());
     }
     let height = sides::height_px(&best.problem, &best.state);
+    // Where detectors see a joint is settled by then. Clothes hang lower than the body: could they talk keypoints out of where
+    // the hips are, hips would follow the crotch of the trousers.
+    best.problem.offsets = best.state.shared.offsets;
+    best.problem.offset_sigma = prior::SETTLED_OFFSET_SIGMA;
     best.scales.contour_weight = WEIGHT;
     best.scales.shape_weight = (best.state.frames.len() as f64 / FRAMES_ALIKE).max(1.0);
     best.scales.contour_outside_px = OUTSIDE * height;
@@ -95,7 +103,20 @@ fn shaped(body: &Body, state: &State) -> Vec<DVec3> {
     body.shaped_vertices(&betas).into_iter().map(double).collect()
 }
 
+/// Whether clothes and hair hide where a vertex is: no outline is taken from it. Trousers and skirts hang below the crotch:
+/// taken for the body's own, their outline pulled hips and pelvis down by more than a centimetre.
 fn is_dressed(body: &Body, v: usize) -> bool {
+    is_covered(body, v) || is_between_the_legs(body, v)
+}
+
+fn is_between_the_legs(body: &Body, v: usize) -> bool {
+    let ([x, y, _], hip) = (body.v_template[v], body.j_template[LEFT_HIP as usize]);
+    let influences = body.lbs_joints[v].iter().zip(&body.lbs_weights[v]);
+    let of_hips: f32 = influences.filter(|(j, _)| [PELVIS, LEFT_HIP, RIGHT_HIP].contains(j)).map(|(_, w)| w).sum();
+    of_hips > 0.5 && x.abs() < hip[0].abs() && y < hip[1]
+}
+
+fn is_covered(body: &Body, v: usize) -> bool {
     let influences = body.lbs_joints[v].iter().zip(&body.lbs_weights[v]);
     influences.filter(|(j, _)| DRESSED_JOINTS.contains(j)).map(|(_, w)| w).sum::<f32>() > 0.3
 }
@@ -104,7 +125,7 @@ fn is_dressed(body: &Body, v: usize) -> bool {
 struct Outline<'a> {
     body: &'a Body,
     shaped: Vec<DVec3>,
-    /// `[V]`: vertices under hair and shoes, or of hands, whose joints are not fitted.
+    /// `[V]`: vertices under hair and shoes, between the legs, or of hands, whose joints are not fitted.
     dressed: &'a [bool],
     /// Of the picture, pixels.
     size: DVec2,

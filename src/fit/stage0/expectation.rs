@@ -44,7 +44,8 @@ impl Problem {
         }
         for slot in 0..N_OFFSETS {
             for axis in 0..3 {
-                pull(self.layout.offset_column(slot) + axis, shared.offsets[slot][axis], prior::OFFSET_SIGMA);
+                let unexpected = shared.offsets[slot][axis] - self.offsets[slot][axis];
+                pull(self.layout.offset_column(slot) + axis, unexpected, self.offset_sigma);
             }
         }
         pull(self.layout.focal_column(), shared.log_focal, self.focal_sigma);

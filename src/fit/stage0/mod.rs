@@ -66,6 +66,9 @@ pub struct Stage0Result {
     pub transl: Vec<[f32; 3]>,
     /// The capture's, with the focal length found where it was estimated.
     pub camera: Camera,
+    /// `[N][K]`: the capture's detections as they were understood. Swapped sides are exchanged, each is moved by its
+    /// part's fitted offset onto the body's own point, and disbelieved ones have no confidence.
+    pub keypoints: Vec<Vec<[f32; 3]>>,
     pub report: Stage0Report,
 }
 
@@ -88,6 +91,15 @@ pub struct Stage0Report {
     pub mask_iou: f32,
     /// What people should know, one line each.
     pub notes: Vec<String>,
+}
+
+impl Stage0Result {
+    /// Replaces the capture's detections by those that were understood, for the stages that follow.
+    pub fn reread(&self, capture: &mut Capture) {
+        for (frame, keypoints) in capture.frames.iter_mut().zip(&self.keypoints) {
+            frame.keypoints.clone_from(keypoints);
+        }
+    }
 }
 
 #[derive(Debug, thiserror::Error)]

@@ -2,7 +2,7 @@
 
 use glam::{DVec2, DVec3};
 
-use super::landmarks::Landmark;
+use super::landmarks::{Landmark, N_OFFSETS};
 use super::normal::Normal;
 use super::prior::{self, Prior};
 use super::rig::{Point, PointJacobian, Posed, Rig};
@@ -94,6 +94,9 @@ pub struct Problem {
     /// Spread of the focal length's logarithm; tiny where the camera is known.
     pub focal_sigma: f64,
     pub landmarks: Vec<Landmark>,
+    /// What is expected of fitted keypoint offsets, and its spread, metres.
+    pub offsets: [DVec3; N_OFFSETS],
+    pub offset_sigma: f64,
     pub points: Vec<Point>,
     /// `[N][K]`
     pub observations: Vec<Vec<Observation>>,

@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use super::known::camera_rotation;
+use super::landmarks::Landmark;
 use super::{Candidate, Stage0Report, Stage0Result, rotation, sides};
 use crate::body::{Body, N_JOINTS};
 use crate::capture::Capture;
@@ -30,9 +31,33 @@ pub fn result(best: &Candidate, body: &Body, capture: &Capture, mut report: Stag
         report.notes.push(format!("the camera's focal length was estimated: {:.0} px", zoomed.fx));
     }
     describe(best, &mut report);
+    let keypoints = understood(best, capture);
     let mut betas = vec![0.0; body.n_betas];
     betas.iter_mut().zip(&state.shared.betas).for_each(|(b, found)| *b = *found as f32);
-    Stage0Result { betas, poses, transl, camera, report }
+    Stage0Result { betas, poses, transl, camera, keypoints, report }
+}
+
+/// See [`Stage0Result::keypoints`].
+fn understood(best: &Candidate, capture: &Capture) -> Vec<Vec<[f32; 3]>> {
+    let Candidate { problem, state, .. } = best;
+    let camera = problem.camera.zoomed(state.shared.log_focal);
+    let mut bare = state.clone();
+    bare.shared.offsets.fill(DVec3::ZERO);
+    let limit = best.scales.rho * best.scales.sigma_px;
+    let of_frame = |(t, frame): (usize, &crate::capture::Frame)| {
+        let posed = problem.rig.pose(&state.frames[t], &state.shared);
+        let found = problem.landmarks_at(&posed, state, &camera);
+        let own = problem.landmarks_at(&posed, &bare, &camera);
+        let read = |(k, landmark): (usize, &Landmark)| {
+            let seen = &problem.observations[t][k];
+            let as_given = if best.swapped[t][landmark.part.group() as usize] { landmark.partner } else { k };
+            let believed = seen.weight > 0.0 && seen.at.distance(found[k]) <= limit;
+            let [x, y] = (seen.at + own[k] - found[k]).as_vec2().to_array();
+            [x, y, if believed { frame.keypoints[as_given][2] } else { 0.0 }]
+        };
+        problem.landmarks.iter().enumerate().map(read).collect()
+    };
+    capture.frames.iter().enumerate().map(of_frame).collect()
 }
 
 fn describe(best: &Candidate, report: &mut Stage0Report) {

@@ -60,6 +60,8 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         stature: stature(body),
         focal_sigma: if capture.camera_estimated { GUESSED_FOCAL } else { KNOWN_FOCAL },
         landmarks,
+        offsets: [DVec3::ZERO; N_OFFSETS],
+        offset_sigma: prior::OFFSET_SIGMA,
         points,
         observations,
         gaps,

@@ -178,7 +178,7 @@ fn masks_tell_the_girth() {
     let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
     let errors = errors(&body, &clip, &result);
     // Masks may be of clothes, so the fit stays on the slim side.
-    assert!((0.5..1.1).contains(&result.betas[1]), "{:?}", result.betas);
+    assert!((0.4..1.1).contains(&result.betas[1]), "{:?}", result.betas);
     assert!(result.report.mask_iou > 0.9, "{}", result.report.mask_iou);
     assert!(errors.scaled < 0.02, "{errors:?}");
 }

@@ -43,9 +43,10 @@ pub fn run(
     let config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
     let body = load_body(data_dir, &input.options.body)?;
-    let capture = load_capture(input)?;
+    let mut capture = load_capture(input)?;
     monitor.start(Stage::Pose)?;
     let start = solve_poses(&body, &capture, input.options.height_m, &mut monitor)?;
+    start.reread(&mut capture);
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
     // A checkpoint that cannot be read is worth no more than none.
