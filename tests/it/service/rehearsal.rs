@@ -104,7 +104,7 @@ fn worker_process() {
             shutdown.send_replace(true);
         });
         let owner = Owner::new(&store.workers(), env.new_id()).unwrap();
-        let settings = WorkerSettings { poll: Duration::from_millis(20), stall: Duration::from_millis(1500) };
+        let settings = WorkerSettings { poll: Duration::from_millis(20), stall: Duration::from_secs(4) };
         Worker { queue, store, device, owner, settings }.run(stopped).await
     });
     // SAFETY: ends the process, as `effigy worker` does when its device's thread hangs.
