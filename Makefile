@@ -17,7 +17,7 @@ test: setup
 results: body
 	"$(EFFIGY)" study all
 
-## The service under attack, for longer than `make test` does it (about a quarter of an hour).
+## The service under attack, for longer than `make test` does it.
 torture: setup
 	EFFIGY_TORTURE_CASES=2000 cargo test --locked --lib every_history_keeps_the_rules
 	EFFIGY_TORTURE_CYCLES=200 EFFIGY_TORTURE_JOBS=10000 cargo test --locked --test it service::torture -- --nocapture
