@@ -10,15 +10,26 @@
 //! P is a polynomial of fixed degree: Chebyshev's iteration from zero on the equations scaled by their diagonal
 //! `1 + λ deg_i`. By Gershgorin the scaled matrix has its eigenvalues in `[1 − ρ, 1 + ρ]` with `ρ = λd / (1 + λd)` and d the
 //! largest degree, so that the residual after k rounds is at most `2 ((√κ − 1) / (√κ + 1))ᵏ` of the first, with
-//! `κ = (1 + ρ) / (1 − ρ)`. Ended early, P is still symmetric and positive definite: all directions that it gives descend.
+//! `κ = (1 + ρ) / (1 − ρ)`. Ended early, when that is small or the rounds are used up, P is still symmetric and positive
+//! definite: all directions that it gives descend.
 
 pub mod cpu;
 mod gpu;
 
 pub use gpu::LargeSteps;
 
-/// Rounds of a solve.
+/// Rounds of a solve, at most.
 pub const ROUNDS: usize = 32;
+/// A solve ends when its residual is at most this part of the first.
+const TOLERANCE: f64 = 1e-3;
+
+/// The rounds that [`TOLERANCE`] takes for eigenvalues in `[1 − rho, 1 + rho]`: an even number up to [`ROUNDS`].
+fn rounds(rho: f64) -> usize {
+    let root = ((1.0 + rho) / (1.0 - rho)).sqrt();
+    let shrink = (root - 1.0) / (root + 1.0);
+    let fits = |k: &usize| 2.0 * shrink.powi(*k as i32) <= TOLERANCE;
+    (2..ROUNDS).step_by(2).find(fits).unwrap_or(ROUNDS)
+}
 
 /// The factors `(momentum, gain)` of `rounds` Chebyshev steps for eigenvalues in `[1 − rho, 1 + rho]`.
 fn chebyshev(rho: f64, rounds: usize) -> Vec<(f64, f64)> {

@@ -1,4 +1,4 @@
-use super::{LargeSteps, ROUNDS, cpu};
+use super::{LargeSteps, ROUNDS, TOLERANCE, cpu, radius, rounds};
 use crate::ops::Topology;
 use crate::ops::testing::{assert_close, gpu};
 
@@ -69,6 +69,26 @@ fn the_solver_is_symmetric_and_never_turns_a_direction_round() {
         let moved = cpu::solve(starts, items, &alternating, LAMBDA, rounds);
         assert!(moved.iter().zip(&alternating).map(|(a, b)| a * b).sum::<f64>() > 0.0, "{rounds} rounds");
     }
+}
+
+/// A chain of frames is a graph of degree two: it takes fewer rounds than a mesh, and still ends as near.
+#[test]
+fn a_chain_ends_early_and_near() {
+    let n = 60u32;
+    let mut starts = vec![0u32];
+    let mut items = Vec::new();
+    for i in 0..n {
+        items.extend([i.checked_sub(1), Some(i + 1).filter(|&k| k < n)].into_iter().flatten());
+        starts.push(items.len() as u32);
+    }
+    let (lambda, b) = (4.0, field(180));
+    let used = rounds(radius(&starts, lambda));
+    assert!(used < ROUNDS && used.is_multiple_of(2), "{used} rounds");
+    assert!(rounds(radius(&starts, 1e-3)) == 2, "hardly any coupling");
+    let (x, exact) = (cpu::solve(&starts, &items, &b, lambda, used), cpu::solve(&starts, &items, &b, lambda, 300));
+    let norm = |v: &mut dyn Iterator<Item = f64>| v.map(|d| d * d).sum::<f64>().sqrt();
+    let error = norm(&mut x.iter().zip(&exact).map(|(a, b)| a - b));
+    assert!(error < 2.0 * TOLERANCE * norm(&mut exact.iter().copied()), "{error} after {used} rounds");
 }
 
 #[test]
