@@ -121,6 +121,7 @@ async function watch(id) {
   watched = new AbortController();
   const { signal } = watched;
   $("result").hidden = true;
+  $("preview").hidden = true;
   $("job").hidden = false;
   $("job-id").textContent = id;
   let last = null;
@@ -158,6 +159,10 @@ async function follow(id, last, signal) {
       if (!field("data")) continue;
       last = field("id") ?? last;
       const data = JSON.parse(field("data"));
+      if (field("event") === "preview") {
+        preview(data.url, signal);
+        continue;
+      }
       if (data.state && ENDED.includes(data.state)) return last;
       draw(data.state ? { state: data.state } : { state: "running", ...data });
     }
@@ -175,8 +180,22 @@ function draw(job) {
   if (job.losses) $("losses").textContent = losses.join(" · ");
   $("cancel").hidden = !["queued", "running"].includes(job.state);
   $("retry").hidden = !["failed", "canceled"].includes(job.state);
+  if (job.preview_url) preview(job.preview_url, watched.signal);
   show(job.error ? new Problem({ ...job.error, title: `The fit failed (${job.error.type})` }) : null);
   if (job.avatar) result(job.avatar);
+}
+
+// The avatar as it emerges; call, because an image element cannot send a key. What is missing or late is no fault.
+async function preview(url, signal) {
+  try {
+    const picture = URL.createObjectURL(await (await call(url.slice(1), { signal })).blob());
+    if (signal.aborted) return;
+    URL.revokeObjectURL($("preview").src);
+    $("preview").src = picture;
+    $("preview").hidden = false;
+  } catch {
+    // The next event brings another.
+  }
 }
 
 const wish = (what) => async () => {

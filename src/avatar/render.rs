@@ -149,9 +149,23 @@ impl Renderer {
 
     /// The picture at the camera's size: straight alpha where the background is transparent. Waits.
     pub fn render(&self, spec: &RenderSpec) -> Result<RgbaImage, RenderError> {
+        self.render_with(spec, |points| self.texture.colours(&self.gpu, points))
+    }
+
+    /// As [`Renderer::render`], in stage 1's colours: one a face.
+    pub fn render_faces(&self, spec: &RenderSpec) -> Result<RgbaImage, RenderError> {
+        let colours = &self.model.face_colours;
+        self.render_with(spec, |points| Ok(points.iter().map(|point| colours[point.face as usize]).collect()))
+    }
+
+    fn render_with(
+        &self,
+        spec: &RenderSpec,
+        albedo: impl Fn(&[SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError>,
+    ) -> Result<RgbaImage, RenderError> {
         let mut normals = None;
         let picture = self.draw(spec, |points, posed| {
-            let mut colours = self.texture.colours(&self.gpu, points)?;
+            let mut colours = albedo(points)?;
             if spec.light == Light::Captured {
                 let faces = &self.model.body.faces;
                 let normals = normals.get_or_insert_with(|| vertex_normals(&posed.vertices, faces));

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use super::state::Stage;
+use super::state::{FitState, Stage};
 
 /// Where the fit stands after a step.
 #[derive(Debug)]
@@ -25,6 +25,14 @@ pub enum Flow {
 /// Called between iterations on the thread that owns the device.
 pub trait Control {
     fn after_step(&mut self, report: &StepReport<'_>) -> Flow;
+
+    /// Asked after a step: whether [`Control::look`] shall see the parameters. Reading them back waits for the device.
+    fn wants_look(&mut self) -> bool {
+        false
+    }
+
+    /// The parameters as they are: after a step for which they were wanted, and at the end of each stage.
+    fn look(&mut self, _state: &FitState) {}
 }
 
 /// Checkpoints and read-backs of losses in time, not in steps: a step takes milliseconds on one device and a second on

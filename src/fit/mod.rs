@@ -88,6 +88,7 @@ pub fn run(
     for (stage, next) in [(Stage::Geometry, Stage::Texture), (Stage::Texture, Stage::Done)] {
         if state.stage == stage {
             run_stage(&scene, &inputs, &mut state, &mut outside)?;
+            outside.control.look(&state);
             state.stage = next;
             state.step = 0;
             state.save(checkpoint)?;

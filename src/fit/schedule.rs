@@ -147,6 +147,10 @@ fn after_step(
         state.save(outside.checkpoint)?;
         return Err(FitError::Stopped);
     }
+    if outside.control.wants_look() {
+        work.read_into(state)?;
+        outside.control.look(state);
+    }
     Ok(())
 }
 

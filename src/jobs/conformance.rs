@@ -88,6 +88,26 @@ pub async fn a_job_goes_through_its_life(b: Bench) {
     assert_eq!(b.queue.counts().await.unwrap()[&State::Succeeded], 1);
 }
 
+pub async fn a_picture_is_told_of_and_stays_until_the_files_go(b: Bench) {
+    let id = b.add().await;
+    let lease = b.claim().await.unwrap();
+    assert_eq!(b.job(id).await.preview, None);
+    let before = b.job(id).await.version;
+    assert_eq!(b.queue.show(&lease, "1-1.jpg", &report(0.2)).await.unwrap(), Standing::Held);
+    assert_eq!(b.queue.show(&lease, "1-2.jpg", &report(0.4)).await.unwrap(), Standing::Held);
+    let job = b.job(id).await;
+    assert_eq!((job.preview.as_deref(), job.version), (Some("1-2.jpg"), before + 2));
+    let events = b.queue.events(id, 0, 1000).await.unwrap();
+    let told: Vec<_> = events.iter().filter(|event| event.kind == EventKind::Preview).collect();
+    assert_eq!((told.len(), &told[1].data["progress"], &told[1].data["stage"]), (2, &json!(0.4), &json!("geometry")));
+    b.queue.succeed(&lease, avatar()).await.unwrap();
+    assert_eq!(b.queue.show(&lease, "1-3.jpg", &report(0.9)).await.unwrap(), Standing::Lost);
+    assert_eq!(b.job(id).await.preview.as_deref(), Some("1-2.jpg"), "a thumbnail of the avatar");
+    b.clock.advance(Duration::from_secs(2 * 3600));
+    b.queue.reap().await.unwrap();
+    assert_eq!((b.job(id).await.state, b.job(id).await.preview), (State::Expired, None));
+}
+
 pub async fn older_jobs_go_first(b: Bench) {
     let ids = [b.add().await, b.add().await, b.add().await];
     for (i, id) in ids.iter().enumerate() {
@@ -517,6 +537,7 @@ macro_rules! suite {
     ($open:expr) => {
         crate::jobs::conformance::suite! { $open;
             a_job_goes_through_its_life
+            a_picture_is_told_of_and_stays_until_the_files_go
             older_jobs_go_first
             concurrent_claims_give_each_job_once
             a_stale_epoch_writes_nothing

@@ -206,6 +206,8 @@ pub struct Job {
     /// Grows with every change of the job.
     pub version: i64,
     pub error: Option<JobError>,
+    /// Name of the newest picture of the avatar in the making.
+    pub preview: Option<String>,
     /// 1 = the next to be claimed; only while queued.
     pub queue_position: Option<u64>,
 }
@@ -223,13 +225,18 @@ pub struct Event {
 pub enum EventKind {
     State,
     Progress,
+    /// There is a new picture of the avatar in the making.
+    Preview,
 }
 
 impl EventKind {
+    pub const ALL: [EventKind; 3] = [EventKind::State, EventKind::Progress, EventKind::Preview];
+
     pub fn name(self) -> &'static str {
         match self {
             EventKind::State => "state",
             EventKind::Progress => "progress",
+            EventKind::Preview => "preview",
         }
     }
 }

@@ -216,6 +216,8 @@ pub trait Queue: Send + Sync + 'static {
     fn report<'a>(&'a self, lease: &'a Lease, report: &'a ProgressReport) -> Answer<'a, Standing>;
     /// Tells that a checkpoint was written which holds so much of the whole job, 0 to 1.
     fn saved<'a>(&'a self, lease: &'a Lease, progress: f64) -> Answer<'a, Standing>;
+    /// Tells that there is a new picture of the avatar, by the name of its file, made at this point of the fit.
+    fn show<'a>(&'a self, lease: &'a Lease, preview: &'a str, at: &'a ProgressReport) -> Answer<'a, Standing>;
     fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> Answer<'a, Standing>;
     /// running, canceling → succeeded; the avatar appears in the same transaction. A wish to cancel that came after the
     /// last iteration comes too late.

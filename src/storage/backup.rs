@@ -38,10 +38,11 @@ impl Store {
         copy_folder(&self.bodies(), &to.bodies(), how)
     }
 
-    /// Copies a job's inputs, checkpoints and published results. Files that vanish meanwhile are left out.
+    /// Copies a job's inputs, checkpoints, preview and published results. Files that vanish meanwhile are left out.
     pub fn copy_job(&self, to: &Store, job: Uuid, published: Option<i64>, how: How) -> io::Result<Copied> {
         let mut copied = copy_folder(&self.inputs(job), &to.inputs(job), how)?;
         copied += copy_folder(&self.work(job), &to.work(job), how)?;
+        copied += copy_folder(&self.previews(job), &to.previews(job), how)?;
         if let Some(epoch) = published {
             copied += copy_folder(&self.results(job, epoch), &to.results(job, epoch), how)?;
         }

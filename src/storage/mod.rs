@@ -5,6 +5,7 @@
 //! <data>/bodies/              body models
 //! <data>/jobs/<job>/inputs/   the uploaded parts; complete before the job is in the queue
 //! <data>/jobs/<job>/work/     checkpoints, which outlive a worker
+//! <data>/jobs/<job>/previews/ the newest picture of the avatar as it emerges
 //! <data>/jobs/<job>/results/<epoch>/   what an attempt made; the published epoch is in the database
 //! <data>/uploads/             uploads that come in pieces, until a job uses them
 //! <data>/renders/             answers of the worker on their way to a client
@@ -16,6 +17,7 @@
 //! Whatever appears under its name is complete and on the disk: files are written in `tmp`, flushed, and renamed.
 
 mod backup;
+mod previews;
 mod publish;
 mod resumable;
 mod serve;

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 
 use super::engine::{Engine, FitTask};
-use super::pipeline::{Observer, Outcome, PipelineError, Progress, StopReason};
+use super::pipeline::{Observer, Outcome, PipelineError, Preview, Progress, StopReason};
 use super::renders::Draughtsman;
 use crate::gpu::Gpu;
 use crate::jobs::render::{RenderError, RenderRequest};
@@ -37,6 +37,8 @@ pub struct Control {
     alive: Mutex<Instant>,
     /// How far the newest checkpoint has come, until it is told on.
     saved: Mutex<Option<f32>>,
+    /// The newest picture with its number, until it is passed on.
+    preview: Mutex<(u32, Option<Preview>)>,
     progress: watch::Sender<Option<Progress>>,
     /// The first progress of each stage, however short the stage was.
     begun: Mutex<Vec<Progress>>,
@@ -49,6 +51,7 @@ impl Default for Control {
             stop: Mutex::default(),
             alive: Mutex::new(Instant::now()),
             saved: Mutex::default(),
+            preview: Mutex::default(),
             progress: watch::Sender::default(),
             begun: Mutex::default(),
             stage_secs: Mutex::default(),
@@ -69,6 +72,12 @@ impl Control {
     /// How far the checkpoint has come, where one was written since the last call.
     pub fn take_saved(&self) -> Option<f32> {
         self.saved.lock().unwrap().take()
+    }
+
+    /// The newest picture and its number, from 1 on, where one was drawn since the last call.
+    pub fn take_preview(&self) -> Option<(u32, Preview)> {
+        let mut preview = self.preview.lock().unwrap();
+        Some((preview.0, preview.1.take()?))
     }
 
     /// Asks the fit to stop. The first reason stays, but a lost lease outweighs all: nothing may be written then.
@@ -193,6 +202,16 @@ impl Observer for FitObserver<'_> {
 
     fn saved(&mut self, progress: f32) {
         *self.control.saved.lock().unwrap() = Some(progress);
+    }
+
+    fn takes_previews(&self) -> bool {
+        true
+    }
+
+    fn preview(&mut self, preview: Preview) {
+        self.control.is_alive();
+        let mut newest = self.control.preview.lock().unwrap();
+        *newest = (newest.0 + 1, Some(preview));
     }
 
     fn stop(&mut self) -> Option<StopReason> {

@@ -1,6 +1,7 @@
 //! A job from files to files: decode, fit, bake, export. `effigy fit` runs the same pipeline without a server.
 
 mod export;
+mod preview;
 mod run;
 
 use std::collections::BTreeMap;
@@ -82,6 +83,14 @@ pub struct Progress {
     pub losses: BTreeMap<String, f64>,
 }
 
+/// A picture of the avatar in the making.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Preview {
+    pub jpeg: Vec<u8>,
+    /// Where the run stood.
+    pub at: Progress,
+}
+
 /// Why a run shall stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StopReason {
@@ -99,6 +108,14 @@ pub trait Observer {
 
     /// The checkpoint on the disk now holds so much of the whole job, 0 to 1.
     fn saved(&mut self, _progress: f32) {}
+
+    /// Whether pictures of the avatar in the making are wanted.
+    fn takes_previews(&self) -> bool {
+        false
+    }
+
+    /// A picture of the avatar in the making.
+    fn preview(&mut self, _preview: Preview) {}
 
     /// Asked between iterations; `Some` means: write a checkpoint and return [`PipelineError::Stopped`].
     fn stop(&mut self) -> Option<StopReason>;

@@ -1,6 +1,7 @@
 //! One job under its lease: the fit runs on the device's thread, this task keeps the lease, passes progress on, listens
 //! for wishes, and ends the job.
 
+use std::io;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -10,7 +11,7 @@ use tokio::time::{MissedTickBehavior, interval};
 use super::claims::Hung;
 use super::device_thread::{Control, DeviceThread};
 use super::engine::FitTask;
-use super::pipeline::{Outcome, PipelineError, PipelineInput, Progress, StopReason};
+use super::pipeline::{Outcome, PipelineError, PipelineInput, Preview, Progress, StopReason};
 use crate::capture::CaptureError;
 use crate::jobs::{AvatarFile, Job, JobError, Lease, NewAvatar, ProgressReport, Queue, QueueError, Repeat, Standing};
 use crate::storage::{Published, Store};
@@ -48,6 +49,7 @@ impl Runner {
             Ok(task) => {
                 let end = self.accompany(lease, task, &control).await;
                 self.pass_begun(lease, &control).await;
+                self.pass_preview(lease, &control).await;
                 self.pass_stage_secs(lease, &control).await;
                 match end {
                     Some(end) => end,
@@ -129,6 +131,7 @@ impl Runner {
             }
             self.pass_begun(lease, control).await;
             self.pass_saved(lease, control).await;
+            self.pass_preview(lease, control).await;
             let news = if reported.elapsed() >= REPORT && progress.has_changed().unwrap_or(false) {
                 progress.borrow_and_update().clone()
             } else {
@@ -176,6 +179,28 @@ impl Runner {
             && let Err(error) = self.queue.saved(lease, f64::from(progress)).await
         {
             tracing::warn!(job = %lease.job, %error, "a checkpoint goes untold");
+        }
+    }
+
+    /// The file first, then the row that names it: what the row names is there.
+    async fn pass_preview(&self, lease: &Lease, control: &Control) {
+        let Some((nth, Preview { jpeg, at })) = control.take_preview() else { return };
+        let name = Store::preview_name(lease.epoch, nth);
+        let (store, job, file) = (self.store.clone(), lease.job, name.clone());
+        let written = tokio::task::spawn_blocking(move || store.put_preview(job, &file, &jpeg)).await;
+        if let Err(error) = written.unwrap_or_else(|panic| Err(panic.into())) {
+            return tracing::warn!(%job, %error, "a preview is lost");
+        }
+        let shown = self.queue.show(lease, &name, &report(&at)).await;
+        let store = self.store.clone();
+        let tidied = tokio::task::spawn_blocking(move || match shown {
+            Ok(Standing::Held | Standing::Canceling) => store.drop_previews_before(job, &name),
+            Ok(Standing::Lost) => store.drop_preview(job, &name),
+            // The row may name it all the same: the next one removes it.
+            Err(error) => Err(io::Error::other(error)),
+        });
+        if let Err(error) = tidied.await.unwrap_or_else(|panic| Err(panic.into())) {
+            tracing::warn!(%job, %error, "a preview goes unseen, or an older one stays");
         }
     }
 

@@ -12,9 +12,10 @@ use effigy::fit::stage0::{self, Stage0Options};
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport, Texels};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
-use effigy::worker::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput, Progress, Stage, StopReason};
+use effigy::worker::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput};
+use effigy::worker::pipeline::{Preview, Progress, Stage, StopReason};
 
-fn gpu(test: &str) -> Option<Arc<Gpu>> {
+pub fn gpu(test: &str) -> Option<Arc<Gpu>> {
     match Gpu::open(&DeviceSelect::Auto) {
         Ok(gpu) => Some(gpu),
         Err(reason) => {
@@ -26,7 +27,7 @@ fn gpu(test: &str) -> Option<Arc<Gpu>> {
 }
 
 /// A clip of the test body that turns once, made once for all tests.
-fn clip(gpu: &Arc<Gpu>) -> &'static Path {
+pub fn clip(gpu: &Arc<Gpu>) -> &'static Path {
     static CLIP: OnceLock<tempfile::TempDir> = OnceLock::new();
     let made = || {
         let folder = tempfile::tempdir().unwrap();
@@ -37,7 +38,7 @@ fn clip(gpu: &Arc<Gpu>) -> &'static Path {
     CLIP.get_or_init(made).path()
 }
 
-fn input(clip: &Path) -> PipelineInput {
+pub fn input(clip: &Path) -> PipelineInput {
     let file = |name: &str| clip.join(name);
     PipelineInput {
         video: file("video.mp4"),
@@ -55,11 +56,20 @@ struct Witness {
     heard: Vec<Progress>,
     stop_at: Option<(Stage, u32)>,
     idle: usize,
+    previews: Vec<Preview>,
 }
 
 impl Observer for Witness {
     fn progress(&mut self, progress: &Progress) {
         self.heard.push(progress.clone());
+    }
+
+    fn takes_previews(&self) -> bool {
+        true
+    }
+
+    fn preview(&mut self, preview: Preview) {
+        self.previews.push(preview);
     }
 
     fn stop(&mut self) -> Option<StopReason> {
@@ -104,8 +114,31 @@ fn a_clip_becomes_an_avatar_that_looks_like_the_person() {
     assert!(progress.is_sorted(), "progress never goes back: {progress:?}");
     assert!(progress[0] < 0.05 && *progress.last().unwrap() > 0.95);
     assert!(witness.idle > 20, "the device is lent out between iterations");
+    previews_show_the_avatar_emerge(&witness.previews);
     let losses = &witness.heard.iter().rev().find(|p| p.stage == Stage::Texture).unwrap().losses;
     assert!(losses["rgb"].is_finite() && losses["silhouette"] < 0.2, "{losses:?}");
+}
+
+/// From the grey body of stage 0 to the coloured one of the end.
+fn previews_show_the_avatar_emerge(previews: &[Preview]) {
+    let stages: Vec<Stage> = previews.iter().map(|preview| preview.at.stage).collect();
+    assert!(stages.is_sorted() && stages[0] == Stage::Pose && stages.ends_with(&[Stage::Texture]), "{stages:?}");
+    assert!(stages.contains(&Stage::Geometry), "{stages:?}");
+    let pictures: Vec<_> =
+        previews.iter().map(|preview| image::load_from_memory(&preview.jpeg).unwrap().to_rgb8()).collect();
+    // Mean distance of a pixel's channels from each other, where the person is.
+    let person = |picture: &image::RgbImage| -> Vec<f64> {
+        let spread = |p: &image::Rgb<u8>| f64::from(p.0.iter().max().unwrap() - p.0.iter().min().unwrap());
+        picture.pixels().filter(|p| p.0.iter().all(|&c| c < 230)).map(spread).collect()
+    };
+    for picture in &pictures {
+        assert_eq!(picture.width().max(picture.height()), 320);
+        let part = person(picture).len() as f64 / f64::from(picture.width() * picture.height());
+        assert!((0.05..0.9).contains(&part), "{part} of the picture show the person");
+    }
+    let colour = |picture| person(picture).iter().sum::<f64>() / person(picture).len() as f64;
+    let (first, last) = (colour(&pictures[0]), colour(&pictures[pictures.len() - 1]));
+    assert!(first < 8.0 && last > 15.0, "from grey ({first}) to colours ({last})");
 }
 
 #[test]

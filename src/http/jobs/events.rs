@@ -12,11 +12,12 @@ use futures_util::stream;
 use tokio::sync::watch;
 use uuid::Uuid;
 
+use super::view::preview_url;
 use crate::http::App;
 use crate::http::app::Feed;
 use crate::http::error::{ApiError, Problem};
 use crate::http::extract::{parse_id, unknown};
-use crate::jobs::{Event, QueueError};
+use crate::jobs::{Event, EventKind, QueueError};
 
 /// Events read at once.
 const PAGE: u32 = 256;
@@ -25,7 +26,7 @@ const LOOK: Duration = Duration::from_secs(2);
 
 /// Follow a job.
 ///
-/// `state` and `progress` events, from the job's first one on. Each has an id; a client that comes back with
+/// `state`, `progress` and `preview` events, from the job's first one on; `preview` names the `url` of a new picture. Each has an id; a client that comes back with
 /// `Last-Event-ID` (browsers do so by themselves) goes on after it without a gap. The stream ends after the job; coming
 /// back then answers 204, which tells a browser to stay away.
 #[utoipa::path(
@@ -87,7 +88,7 @@ impl Follower {
         loop {
             if let Some(event) = self.waiting.pop_front() {
                 self.seen = event.id;
-                return Some(line(&event));
+                return Some(line(self.job, &event));
             }
             match self.look().await {
                 Ok(true) => {}
@@ -118,8 +119,11 @@ impl Follower {
     }
 }
 
-fn line(event: &Event) -> sse::Event {
+fn line(job: Uuid, event: &Event) -> sse::Event {
     let mut data = event.data.clone();
     data["at"] = event.at.rfc3339().into();
+    if event.kind == EventKind::Preview {
+        data["url"] = preview_url(job).into();
+    }
     sse::Event::default().id(event.id.to_string()).event(event.kind.name()).data(data.to_string())
 }

@@ -4,6 +4,7 @@ mod create;
 mod events;
 mod list;
 mod one;
+mod preview;
 mod upload;
 mod view;
 
@@ -21,4 +22,5 @@ pub(super) fn router() -> OpenApiRouter<App> {
         .routes(routes!(one::cancel))
         .routes(routes!(one::retry))
         .routes(routes!(events::events))
+        .routes(routes!(preview::preview))
 }

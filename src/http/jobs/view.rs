@@ -45,6 +45,8 @@ pub struct JobView {
     pub deadline_at: Option<String>,
     /// When the job's files will be removed.
     pub expires_at: Option<String>,
+    /// The newest picture of the avatar in the making; null before the first.
+    pub preview_url: Option<String>,
     /// Id of the avatar, once the job has succeeded: `/v1/avatars/{avatar}`.
     pub avatar: Option<Uuid>,
     /// Why the last attempt ended badly.
@@ -77,8 +79,14 @@ impl From<Job> for JobView {
             updated_at: job.updated_at.rfc3339(),
             deadline_at: text(job.deadline_at),
             expires_at: text(job.expires_at),
+            preview_url: job.preview.map(|_| preview_url(job.id)),
             avatar: (job.state == State::Succeeded).then_some(job.id),
             error: job.error,
         }
     }
+}
+
+/// Where the newest picture of a job's avatar is.
+pub(super) fn preview_url(job: Uuid) -> String {
+    format!("/v1/jobs/{job}/preview")
 }

@@ -26,21 +26,22 @@ async fn connect(path: &Path) -> Result<SqliteConnection, QueueError> {
 }
 
 /// Copies the database as it is at one moment. Writers go on meanwhile. Nothing runs in the copy: a job that a worker has
-/// is queued there, its attempt given back, and one that was to stop is canceled.
+/// is queued there, its attempt given back, and one that was to stop is canceled. Their preview is replaced while the files
+/// are copied, so that the copy names none.
 pub async fn copy(database: &Path, to: &Path, now: super::super::Timestamp) -> Result<(), QueueError> {
     let mut live = connect(database).await?;
     sqlx::query("VACUUM INTO ?").bind(to.to_string_lossy()).execute(&mut live).await?;
     let mut copy = connect(to).await?;
     sqlx::query(
         "UPDATE jobs SET state = 'queued', owner = NULL, lease_until = NULL, attempt = attempt - 1, run_at = ?1, \
-         updated_at = ?1, version = version + 1 WHERE state = 'running'",
+         preview = NULL, updated_at = ?1, version = version + 1 WHERE state = 'running'",
     )
     .bind(now.0)
     .execute(&mut copy)
     .await?;
     sqlx::query(
-        "UPDATE jobs SET state = 'canceled', owner = NULL, lease_until = NULL, finished_at = ?1, updated_at = ?1, \
-         version = version + 1 WHERE state = 'canceling'",
+        "UPDATE jobs SET state = 'canceled', owner = NULL, lease_until = NULL, finished_at = ?1, preview = NULL, \
+         updated_at = ?1, version = version + 1 WHERE state = 'canceling'",
     )
     .bind(now.0)
     .execute(&mut copy)

@@ -157,6 +157,10 @@ impl Queue for SqliteQueue {
         Box::pin(self.write_saved(lease, progress))
     }
 
+    fn show<'a>(&'a self, lease: &'a Lease, preview: &'a str, at: &'a ProgressReport) -> Answer<'a, Standing> {
+        Box::pin(self.write_preview(lease, preview, at))
+    }
+
     fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> Answer<'a, Standing> {
         Box::pin(self.write_stage_time(lease, stage, secs))
     }

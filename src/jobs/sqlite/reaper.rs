@@ -89,11 +89,13 @@ impl SqliteQueue {
         let due = due.iter().map(rows::job).collect::<Result<Vec<Job>, _>>()?;
         for job in &due {
             sqlx::query("DELETE FROM avatars WHERE id = ?").bind(job.id.to_string()).execute(&mut **tx).await?;
-            sqlx::query("UPDATE jobs SET state = 'expired', updated_at = ?, version = version + 1 WHERE id = ?")
-                .bind(now)
-                .bind(job.id.to_string())
-                .execute(&mut **tx)
-                .await?;
+            sqlx::query(
+                "UPDATE jobs SET state = 'expired', preview = NULL, updated_at = ?, version = version + 1 WHERE id = ?",
+            )
+            .bind(now)
+            .bind(job.id.to_string())
+            .execute(&mut **tx)
+            .await?;
             let job = rows::read(tx, job.id).await?.ok_or(sqlx::Error::RowNotFound)?;
             add_state_event(tx, &job).await?;
         }

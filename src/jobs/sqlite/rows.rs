@@ -53,6 +53,7 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job, QueueError> {
         updated_at: Timestamp(row.try_get("updated_at")?),
         version: row.try_get("version")?,
         error: row.try_get::<Option<String>, _>("error")?.map(|text| parse("error", &text)).transpose()?,
+        preview: row.try_get("preview")?,
         queue_position: row.try_get::<Option<i64>, _>("queue_position")?.map(|n| n as u64),
     })
 }
@@ -61,9 +62,7 @@ pub(super) fn event(row: &SqliteRow) -> Result<Event, QueueError> {
     Ok(Event {
         id: row.try_get("id")?,
         at: Timestamp(row.try_get("at")?),
-        kind: named(row, "kind", |name| {
-            [EventKind::State, EventKind::Progress].into_iter().find(|k| k.name() == name)
-        })?,
+        kind: named(row, "kind", |name| EventKind::ALL.into_iter().find(|k| k.name() == name))?,
         data: json_column(row, "data")?,
     })
 }

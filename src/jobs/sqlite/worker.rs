@@ -126,6 +126,27 @@ impl SqliteQueue {
         Ok(held)
     }
 
+    pub(super) async fn write_preview(
+        &self,
+        lease: &Lease,
+        preview: &str,
+        at: &ProgressReport,
+    ) -> Result<Standing, QueueError> {
+        let mut tx = self.write().await?;
+        let now = self.env.now();
+        let update = sqlx::query(
+            "UPDATE jobs SET preview = ?3, updated_at = ?4, version = version + 1 \
+             WHERE id = ?1 AND epoch = ?2 AND owner IS NOT NULL RETURNING state",
+        );
+        let held = held(&mut tx, update, lease, |query| query.bind(preview.to_string()).bind(now.0)).await?;
+        if held != Standing::Lost {
+            let data = json!({ "stage": at.stage, "step": at.step, "steps": at.steps, "progress": at.progress });
+            add_event(&mut tx, lease.job, now, EventKind::Preview, data).await?;
+        }
+        tx.commit().await?;
+        Ok(held)
+    }
+
     pub(super) async fn write_stage_time(&self, lease: &Lease, stage: &str, secs: f64) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let held = self.current(&mut tx, lease).await?;

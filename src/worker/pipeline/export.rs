@@ -110,7 +110,7 @@ fn score_frames(
 }
 
 /// The camera that sees the frame's crop.
-fn crop(camera: &Camera, frame: &Frame) -> Camera {
+pub(super) fn crop(camera: &Camera, frame: &Frame) -> Camera {
     Camera {
         width: frame.width,
         height: frame.height,

@@ -7,7 +7,8 @@ use std::time::{Instant, SystemTime};
 
 use anyhow::anyhow;
 
-use super::{Observer, Outcome, PipelineError, PipelineInput, Progress, Stage, StopReason, export};
+use super::preview::Previews;
+use super::{Observer, Outcome, PipelineError, PipelineInput, Preview, Progress, Stage, StopReason, export};
 use crate::body::Body;
 use crate::capture::{Capture, CaptureOptions};
 use crate::fit::stage0::{self, Stage0Error, Stage0Options, Stage0Result};
@@ -54,6 +55,11 @@ pub fn run(
         true => fresh.resume(&checkpoint).ok().flatten().unwrap_or(fresh),
         false => fresh,
     };
+    if monitor.observer.takes_previews() {
+        monitor.previews = Some(Previews::new(&body, &capture, &start.camera, &config, &state));
+        // The person's pose and shape, all grey.
+        monitor.look(&state);
+    }
     monitor.start(Stage::Geometry)?;
     let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
     let state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
@@ -144,6 +150,10 @@ pub(super) struct Monitor<'a> {
     checkpoint: PathBuf,
     /// When the checkpoint was written that was last told of.
     saved: Option<SystemTime>,
+    /// Where they are wanted, from the end of stage 0 on.
+    previews: Option<Previews>,
+    /// What was last told.
+    told: Option<Progress>,
 }
 
 impl<'a> Monitor<'a> {
@@ -161,6 +171,8 @@ impl<'a> Monitor<'a> {
             progress: 0.0,
             checkpoint: checkpoint.into(),
             saved: written(checkpoint),
+            previews: None,
+            told: None,
         }
     }
 
@@ -210,7 +222,9 @@ impl<'a> Monitor<'a> {
             whole * (1.0 - done as f64) + whole / share as f64 * (1.0 - before - share).max(0.0) as f64
         });
         let losses = self.losses.clone();
-        self.observer.progress(&Progress { stage, step, steps, progress, eta_secs, losses });
+        let told = Progress { stage, step, steps, progress, eta_secs, losses };
+        self.observer.progress(&told);
+        self.told = Some(told);
     }
 }
 
@@ -234,5 +248,18 @@ impl Control for Monitor<'_> {
         }
         self.tell(stage, report.step, report.steps);
         if self.go_on() { Flow::Continue } else { Flow::Stop }
+    }
+
+    fn wants_look(&mut self) -> bool {
+        self.previews.as_ref().is_some_and(|previews| previews.is_due(self.progress))
+    }
+
+    /// A picture is worth showing, not failing for: what is wrong with the device the next step finds out.
+    fn look(&mut self, state: &FitState) {
+        let (Some(previews), Some(at)) = (&mut self.previews, &self.told) else { return };
+        match previews.draw(self.gpu, state, self.progress) {
+            Ok(jpeg) => self.observer.preview(Preview { jpeg, at: at.clone() }),
+            Err(error) => tracing::warn!(%error, "no preview"),
+        }
     }
 }

@@ -11,7 +11,7 @@ use super::*;
 const SECRET: [u8; 32] = [7; 32];
 
 impl Bench {
-    async fn guarded(openness: Openness, origins: &[&str]) -> (Bench, Arc<ManualClock>) {
+    pub async fn guarded(openness: Openness, origins: &[&str]) -> (Bench, Arc<ManualClock>) {
         let clock = ManualClock::new(Timestamp(1_700_000_000_000));
         let mut bench = Bench::with(Limits::default(), Policy::default(), 0, Env::new(clock.clone(), 1)).await;
         let origins = origins.iter().map(ToString::to_string).collect();
@@ -21,7 +21,7 @@ impl Bench {
         (bench, clock)
     }
 
-    async fn key(&self, name: &str, scopes: &[Scope], quota: Quota) -> Asker<'_> {
+    pub async fn key(&self, name: &str, scopes: &[Scope], quota: Quota) -> Asker<'_> {
         let token = Token::new().unwrap();
         let scopes = scopes.iter().copied().collect::<BTreeSet<_>>();
         let new = NewKey { name: name.into(), scopes, quota, expires_at: None };
@@ -29,13 +29,13 @@ impl Bench {
         Asker { bench: self, key, header: format!("Bearer {}", token.reveal()) }
     }
 
-    async fn job_of(&self, asker: &Asker<'_>) -> Uuid {
+    pub async fn job_of(&self, asker: &Asker<'_>) -> Uuid {
         self.add_job_of(Some(asker.key.id)).await
     }
 }
 
 /// Somebody with a key.
-struct Asker<'a> {
+pub struct Asker<'a> {
     bench: &'a Bench,
     key: Key,
     header: String,
@@ -47,7 +47,7 @@ impl Asker<'_> {
         self.bench.call(method, path, &headers, body).await
     }
 
-    async fn get(&self, path: &str) -> Reply {
+    pub async fn get(&self, path: &str) -> Reply {
         self.call(Method::GET, path, Body::empty()).await
     }
 
@@ -57,7 +57,7 @@ impl Asker<'_> {
     }
 }
 
-const USER: [Scope; 2] = [Scope::Read, Scope::Write];
+pub const USER: [Scope; 2] = [Scope::Read, Scope::Write];
 
 /// Method and path of all operations, read off the description: what is added later is tested too.
 fn operations() -> Vec<(Method, String)> {
@@ -83,7 +83,10 @@ async fn every_operation_asks_for_a_key_and_hides_what_is_anothers() {
     let (owner, other) = (bench.key("a", &USER, Quota::default()).await, bench.key("b", &USER, Quota::default()).await);
     let reader = bench.key("c", &[Scope::Read], Quota::default()).await;
     let admin = bench.key("d", &[Scope::Admin], Quota::default()).await;
-    let id = bench.publish_of(Some(owner.key.id), &[("avatar.glb", b"glTF"), ("mesh.ply", b"ply")]).await;
+    let id = bench.job_of(&owner).await;
+    let lease = bench.claim().await;
+    bench.show(&lease, 1, b"jpeg").await;
+    bench.end_with(&lease, &[("avatar.glb", b"glTF"), ("mesh.ply", b"ply")]).await;
     let nobodys = bench.add_job().await;
     for (method, pattern) in operations() {
         let at = |id: Uuid| pattern.replace("{id}", &id.to_string()).replace("{file}", "avatar.glb");

@@ -6,15 +6,15 @@ use tokio::sync::oneshot;
 use super::*;
 
 /// A listening service.
-struct Server {
-    bench: Bench,
+pub struct Server {
+    pub bench: Bench,
     url: String,
     stop: Option<oneshot::Sender<()>>,
     ended: tokio::task::JoinHandle<std::io::Result<()>>,
 }
 
 impl Server {
-    async fn start() -> Server {
+    pub async fn start() -> Server {
         let bench = Bench::new().await;
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
@@ -26,7 +26,7 @@ impl Server {
         Server { bench, url, stop: Some(stop), ended }
     }
 
-    async fn follow(&self, job: Uuid, after: Option<&str>) -> Stream {
+    pub async fn follow(&self, job: Uuid, after: Option<&str>) -> Stream {
         let mut request = reqwest::Client::new().get(format!("{}/v1/jobs/{job}/events", self.url));
         if let Some(id) = after {
             request = request.header("last-event-id", id);
@@ -38,21 +38,21 @@ impl Server {
     }
 }
 
-struct Stream {
+pub struct Stream {
     response: reqwest::Response,
     text: String,
 }
 
 #[derive(Debug, PartialEq)]
-struct Seen {
-    id: String,
-    kind: String,
-    data: Value,
+pub struct Seen {
+    pub id: String,
+    pub kind: String,
+    pub data: Value,
 }
 
 impl Stream {
     /// The next event, or None at the end of the stream.
-    async fn next(&mut self) -> Option<Seen> {
+    pub async fn next(&mut self) -> Option<Seen> {
         loop {
             if let Some((event, rest)) = self.text.split_once("\n\n") {
                 let (event, rest) = (event.to_string(), rest.to_string());

@@ -9,6 +9,7 @@ mod jobs;
 mod limits;
 mod openapi;
 mod page;
+mod previews;
 mod process;
 mod rehearsal;
 mod renders;
