@@ -22,6 +22,7 @@ torture: setup
 	EFFIGY_TORTURE_CASES=2000 cargo test --locked --lib every_history_keeps_the_rules
 	EFFIGY_TORTURE_CYCLES=200 EFFIGY_TORTURE_JOBS=10000 cargo test --locked --test it service::torture -- --nocapture
 	cargo test --locked --test it service::resume -- --include-ignored --nocapture
+	EFFIGY_TORTURE_STREAMS=5000 cargo test --locked --test it service::hostile::corrupted -- --nocapture
 
 ## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, Node.js, CA certificates).
 setup:

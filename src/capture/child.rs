@@ -1,6 +1,8 @@
-//! FFmpeg as a child process: its output streamed, its time, memory and messages bounded.
+//! FFmpeg as a child process: its output streamed, its time, memory and messages bounded, the rest of the machine out of
+//! its reach ([`super::confine`]).
 
 use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
 use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -9,6 +11,7 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use super::CaptureError;
+use super::confine::{self, Confinement};
 use super::limits::CHILD_MEMORY_BYTES;
 
 /// The standard output of a [`Tool`].
@@ -41,13 +44,35 @@ impl Outcome {
 }
 
 impl Tool {
-    /// Starts `name` (found in `PATH`) and returns its standard output beside it. It is killed at `deadline`.
-    pub fn start(name: &'static str, arguments: &[&str], deadline: Instant) -> Result<(Self, Output), CaptureError> {
-        let mut command = Command::new(name);
+    /// Starts `name` (found in `PATH`), which may read the file `input`, and returns its standard output beside it. It is
+    /// killed at `deadline`.
+    pub fn start(
+        name: &'static str,
+        arguments: &[&str],
+        input: Option<&Path>,
+        deadline: Instant,
+    ) -> Result<(Self, Output), CaptureError> {
+        Self::start_confined(name, arguments, input, deadline, Confinement::in_force())
+    }
+
+    /// As [`Tool::start`], behind these fences.
+    pub fn start_confined(
+        name: &'static str,
+        arguments: &[&str],
+        input: Option<&Path>,
+        deadline: Instant,
+        confinement: Confinement,
+    ) -> Result<(Self, Output), CaptureError> {
+        let failed = |error| CaptureError::internal(format!("cannot start `{name}`"), error);
+        let program = confine::program(name).ok_or_else(|| failed(std::io::ErrorKind::NotFound.into()))?;
+        let mut command = Command::new(&program);
         command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        command.env("AV_LOG_FORCE_NOCOLOR", "1").env_remove("FFREPORT");
+        // Of this process's environment, which may hold secrets, a decoder needs nothing but the way to its libraries.
+        command.env_clear().env("AV_LOG_FORCE_NOCOLOR", "1");
+        command.envs(["PATH", "LD_LIBRARY_PATH"].iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
         limit(&mut command);
-        let mut child = command.spawn().map_err(|e| CaptureError::internal(format!("cannot start `{name}`"), e))?;
+        confinement.apply(&mut command, &program, input).map_err(failed)?;
+        let mut child = command.spawn().map_err(failed)?;
         let (Some(stdout), Some(stderr)) = (child.stdout.take(), child.stderr.take()) else {
             return Err(CaptureError::internal(format!("`{name}`"), std::io::ErrorKind::BrokenPipe.into()));
         };
@@ -168,7 +193,7 @@ mod tests {
     fn a_process_that_does_not_end_is_killed_at_its_deadline() {
         let endless = ["-v", "error", "-f", "lavfi", "-i", "testsrc=size=16x16", "-f", "rawvideo", "pipe:1"];
         let deadline = Instant::now() + Duration::from_millis(300);
-        let (tool, mut output) = Tool::start("ffmpeg", &endless, deadline).unwrap();
+        let (tool, mut output) = Tool::start("ffmpeg", &endless, None, deadline).unwrap();
         std::io::copy(&mut output, &mut std::io::sink()).unwrap();
         let outcome = tool.finish(output).unwrap();
         assert!(outcome.timed_out && !outcome.success);
@@ -177,13 +202,13 @@ mod tests {
     #[test]
     fn a_process_that_is_not_read_to_its_end_is_not_waited_for() {
         let endless = ["-v", "quiet", "-f", "lavfi", "-i", "testsrc=size=640x480", "-f", "rawvideo", "pipe:1"];
-        let (tool, output) = Tool::start("ffmpeg", &endless, Instant::now() + Duration::from_secs(600)).unwrap();
+        let (tool, output) = Tool::start("ffmpeg", &endless, None, Instant::now() + Duration::from_secs(600)).unwrap();
         assert!(!tool.finish(output).unwrap().timed_out);
     }
 
     #[test]
     fn a_tool_that_is_missing_is_our_fault() {
-        let Err(error) = Tool::start("effigy-no-such-tool", &[], Instant::now()) else { panic!("it started") };
+        let Err(error) = Tool::start("effigy-no-such-tool", &[], None, Instant::now()) else { panic!("it started") };
         assert!(error.bad_input().is_none());
         assert!(error.to_string().contains("cannot start `effigy-no-such-tool`"), "{error}");
     }

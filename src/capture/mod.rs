@@ -1,13 +1,14 @@
 //! Video, masks, keypoints, camera and poses, checked against each other: one [`Capture`].
 //!
 //! Uploads come from strangers: files are told by content, limits stand before every allocation, and decoders run as
-//! child processes. An error names the part, the frame and what was expected.
+//! child processes behind fences. An error names the part, the frame and what was expected.
 
 mod archive;
 mod calibration;
 mod checks;
 mod child;
 mod clip;
+mod confine;
 mod error;
 mod images;
 mod keypoints;
@@ -22,6 +23,7 @@ mod tests;
 mod video;
 
 pub use clip::{CaptureInputs, CaptureOptions, Inspection, inspect};
+pub use confine::Confinement;
 pub use error::{BadInput, CaptureError, Part};
 
 use crate::camera::Camera;

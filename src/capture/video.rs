@@ -1,7 +1,7 @@
 //! Video files, read by FFmpeg in a child process as a stream of pictures.
 
 use std::io::{BufRead, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Instant;
 
@@ -20,6 +20,7 @@ const PROTOCOLS: &str = "file";
 #[derive(Debug)]
 pub(super) struct VideoFile {
     part: Part,
+    path: PathBuf,
     url: String,
     pub fps: f64,
     /// Number of frames that the container announces, or that follows from its duration.
@@ -57,7 +58,8 @@ struct ProbeStream {
 impl VideoFile {
     /// Reads the header, not the frames.
     pub fn open(part: Part, path: &Path) -> Result<Self, CaptureError> {
-        let url = format!("file:{}", std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).display());
+        let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        let url = format!("file:{}", path.display());
         let arguments = [
             "-hide_banner",
             "-v",
@@ -74,7 +76,7 @@ impl VideoFile {
             "json",
             &url,
         ];
-        let (json, outcome) = run("ffprobe", &arguments, 4 << 20)?;
+        let (json, outcome) = run("ffprobe", &arguments, Some(&path), 4 << 20)?;
         let expected = "a video that FFmpeg reads, or a zip of PNG or JPEG images";
         if !outcome.success {
             return Err(BadInput::new(part, format!("this is no readable video{}", outcome.because()), expected).into());
@@ -92,7 +94,7 @@ impl VideoFile {
         if announced.is_some_and(|n| n as usize > limits::FRAMES + limits::FRAMES / 10) {
             return Err(limits::too_many_frames(part).into());
         }
-        Ok(Self { part, url, fps: rate.unwrap_or(30.0), announced, warnings: oddities(stream, rate) })
+        Ok(Self { part, path, url, fps: rate.unwrap_or(30.0), announced, warnings: oddities(stream, rate) })
     }
 
     /// Starts decoding. Every stored frame comes once, turned as its rotation tag says. With `fast`, filters that
@@ -117,7 +119,7 @@ impl VideoFile {
             "-sws_flags", "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp",
             "-c:v", codec, "-pix_fmt", format, "-f", "image2pipe", "pipe:1",
         ];
-        let running = Some(Tool::start("ffmpeg", &arguments, deadline)?);
+        let running = Some(Tool::start("ffmpeg", &arguments, Some(&self.path), deadline)?);
         Ok(VideoStream { part: self.part, running, announced: self.announced, pixels, count: 0, damage: None })
     }
 }
@@ -194,8 +196,13 @@ impl VideoStream {
 }
 
 /// Runs a tool that answers quickly; its output, at most `limit` bytes of it.
-fn run(name: &'static str, arguments: &[&str], limit: u64) -> Result<(Vec<u8>, Outcome), CaptureError> {
-    let (tool, mut output) = Tool::start(name, arguments, Instant::now() + PROBE_TIME)?;
+fn run(
+    name: &'static str,
+    arguments: &[&str],
+    input: Option<&Path>,
+    limit: u64,
+) -> Result<(Vec<u8>, Outcome), CaptureError> {
+    let (tool, mut output) = Tool::start(name, arguments, input, Instant::now() + PROBE_TIME)?;
     let mut bytes = Vec::new();
     // A broken pipe shows as a failed process.
     let _ = output.by_ref().take(limit).read_to_end(&mut bytes);
@@ -241,7 +248,7 @@ fn passthrough_option() -> Result<&'static str, CaptureError> {
     if let Some(option) = OPTION.get() {
         return Ok(option);
     }
-    let (text, _) = run("ffmpeg", &["-version"], 1 << 16)?;
+    let (text, _) = run("ffmpeg", &["-version"], None, 1 << 16)?;
     let text = String::from_utf8_lossy(&text).into_owned();
     Ok(OPTION.get_or_init(|| if is_before_5_1(&text) { "-vsync" } else { "-fps_mode" }))
 }

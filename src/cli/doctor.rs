@@ -5,6 +5,7 @@ use std::process::Command;
 
 use anyhow::{Result, bail};
 use effigy::body::Body;
+use effigy::capture::Confinement;
 use effigy::config::{Auth, Bytes, Config, Value};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::Env;
@@ -65,7 +66,7 @@ const LITTLE_SPACE: u64 = 5 << 30;
 pub fn run(args: Args) -> Result<()> {
     let in_force = args.settings.resolve()?;
     let data = in_force.config.data_dir();
-    let mut checks = vec![device(), tool("ffmpeg"), tool("ffprobe"), disk(&data), body(&data)];
+    let mut checks = vec![device(), tool("ffmpeg"), tool("ffprobe"), decoder(), disk(&data), body(&data)];
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     checks.extend(runtime.block_on(database(&data, &in_force.config)));
     let failed = checks.iter().filter(|check| check.state == State::Failed).count();
@@ -117,6 +118,19 @@ fn tool(name: &'static str) -> Check {
         Ok(output) => Check::failed(name, format!("it ends with {}", output.status), mend),
         Err(error) => Check::failed(name, error.to_string(), mend),
     }
+}
+
+/// What keeps a decoder that a crafted clip has taken over from the rest of the machine.
+fn decoder() -> Check {
+    let Confinement { files, calls } = Confinement::in_force();
+    let word = |there| if there { "yes" } else { "no" };
+    let found = format!("confined in files (Landlock): {}, in system calls (seccomp): {}", word(files), word(calls));
+    if files && calls {
+        return Check::ok("decoder", found);
+    }
+    let mend = "run it on Linux 5.13 or newer with Landlock and seccomp switched on and FFmpeg's libraries in the system's \
+                folders, or in a container that holds nothing else; time, memory and output are bounded in any case";
+    Check::warning("decoder", found, mend)
 }
 
 fn disk(data: &Path) -> Check {

@@ -45,6 +45,7 @@ fn a_machine_that_has_all_is_well() {
     std::fs::create_dir(data.path().join("bodies")).unwrap();
     effigy::body::Body::test_body().save(&data.path().join("bodies/default.body.npz")).unwrap();
     let (ok, report) = doctor(data.path(), |_| {});
+    assert!(check(&report, "decoder")["found"].as_str().unwrap().contains("Landlock"), "{report}");
     for name in ["ffmpeg", "ffprobe", "body", "database", "access"] {
         assert_eq!(check(&report, name)["state"], "ok", "{report}");
     }

@@ -191,3 +191,88 @@ fn media_that_name_other_files_and_hosts_reach_none() {
     }
     assert!(listener.accept().is_err(), "the decoder called out");
 }
+
+/// Small clips in containers and codecs that every FFmpeg can write.
+fn clips(folder: &std::path::Path) -> Vec<Vec<u8>> {
+    let kinds =
+        [("mp4", "mpeg4"), ("avi", "mjpeg"), ("ts", "mpeg2video"), ("mkv", "ffv1"), ("mov", "png"), ("flv", "flv1")];
+    let clip = |(container, codec): (&str, &str)| {
+        let path = folder.join(format!("clip.{container}"));
+        let source = format!("testsrc=size={WIDTH}x{HEIGHT}:rate=25,trim=end_frame={FRAMES}");
+        let mut ffmpeg = std::process::Command::new("ffmpeg");
+        ffmpeg.args(["-v", "error", "-f", "lavfi", "-i", &source, "-c:v", codec, "-q:v", "2"]).arg(&path);
+        assert!(ffmpeg.status().unwrap().success(), "{container}");
+        std::fs::read(path).unwrap()
+    };
+    kinds.into_iter().map(clip).collect()
+}
+
+/// Flips, cuts, doubles or blanks something.
+fn damage(clip: &[u8], random: &mut rand_pcg::Pcg64Mcg) -> Vec<u8> {
+    use rand::RngExt;
+    let mut clip = clip.to_vec();
+    let (at, length) = (random.random_range(0..clip.len()), random.random_range(1..512));
+    let range = at..(at + length).min(clip.len());
+    match random.random_range(0..8) {
+        0 => clip.truncate(at),
+        1 => clip.extend_from_within(range),
+        2 => clip[range].fill(random.random()),
+        3 => drop(clip.drain(range)),
+        // Headers are where parsers live.
+        4 => (0..4).for_each(|_| clip[random.random_range(0..64)] = random.random()),
+        _ => (0..length / 8 + 1).for_each(|_| {
+            let at = random.random_range(0..clip.len());
+            clip[at] = random.random();
+        }),
+    }
+    clip
+}
+
+/// Corrupted streams: `EFFIGY_TORTURE_STREAMS` of them.
+#[test]
+fn corrupted_streams_leave_the_server_unharmed() {
+    use rand::SeedableRng;
+    let streams = std::env::var("EFFIGY_TORTURE_STREAMS").map_or(100, |text| text.parse::<u64>().unwrap());
+    let data = tempfile::tempdir().unwrap();
+    let (serve, client) = start(data.path());
+    let folder = tempfile::tempdir().unwrap();
+    let clips = clips(folder.path());
+    let next = std::sync::atomic::AtomicU64::new(0);
+    let post = |video: Vec<u8>| {
+        let body = Form::clip().with("video", video).body();
+        client.post(format!("{}/v1/jobs", serve.url)).header("content-type", Form::TYPE).body(body).send().unwrap()
+    };
+    let (accepted, slowest) = (std::sync::atomic::AtomicU64::new(0), Mutex::new(Duration::ZERO));
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                loop {
+                    let seed = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                    if seed >= streams {
+                        break;
+                    }
+                    let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
+                    let video = damage(&clips[seed as usize % clips.len()], &mut random);
+                    let begun = Instant::now();
+                    let answer = post(video);
+                    let took = begun.elapsed();
+                    assert!(took < Duration::from_secs(20), "stream {seed}: {took:?}");
+                    let mut slowest = slowest.lock().unwrap();
+                    *slowest = took.max(*slowest);
+                    match answer.status().as_u16() {
+                        // What the damage hit need not matter.
+                        202 => drop(accepted.fetch_add(1, std::sync::atomic::Ordering::Relaxed)),
+                        422 => assert_eq!(answer.json::<Value>().unwrap()["part"], "video", "stream {seed}"),
+                        other => panic!("stream {seed}: {other}: {}", answer.text().unwrap()),
+                    }
+                }
+            });
+        }
+    });
+    let (accepted, slowest, peak) = (accepted.into_inner(), slowest.into_inner().unwrap(), serve.peak_bytes() >> 20);
+    eprintln!("{streams} corrupted streams: {accepted} still usable, slowest {slowest:.1?}, server at most {peak} MB");
+    assert!(accepted < streams * 9 / 10, "the damage does damage");
+    assert!(peak < 256, "{peak} MB");
+    assert_eq!(post(clips[0].clone()).status(), 202, "a good clip");
+    assert_eq!(std::fs::read_dir(data.path().join("tmp")).unwrap().count(), 0);
+}
