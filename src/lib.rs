@@ -14,6 +14,8 @@ pub mod http;
 pub mod jobs;
 pub mod npz;
 pub mod ops;
+pub mod page;
+pub mod quality;
 pub mod storage;
 pub mod study;
 pub mod webhooks;

@@ -220,10 +220,13 @@ async function result(id) {
     const { links } = await (await post(`v1/avatars/${id}/links`, { expires_in_secs: 86400 })).json();
     const files = Object.entries(links).map(([name, href]) => {
       const item = element("li");
-      item.append(element("a", name, { href: href.slice(1), download: name }));
+      const page = name.endsWith(".html") ? { target: "_blank", rel: "noopener" } : { download: name };
+      item.append(element("a", name, { href: href.slice(1), ...page }));
       return item;
     });
     $("files").replaceChildren(...files);
+    $("whole-report").hidden = !links["report.html"];
+    $("whole-report").href = links["report.html"]?.slice(1) ?? "";
     $("report").replaceChildren(...rows(avatar.metrics).map(([name, value]) => row([name, value])));
     await turntable(id, signal);
   } catch (problem) {

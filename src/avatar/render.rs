@@ -152,6 +152,17 @@ impl Renderer {
         self.render_with(spec, |points| self.texture.colours(&self.gpu, points))
     }
 
+    /// As [`Renderer::render`]; sets `seen [F]` for the faces that a sample of the picture shows.
+    ///
+    /// # Panics
+    /// When `seen` is shorter than the faces.
+    pub fn render_marking(&self, spec: &RenderSpec, seen: &mut [bool]) -> Result<RgbaImage, RenderError> {
+        self.render_with(spec, |points| {
+            points.iter().for_each(|point| seen[point.face as usize] = true);
+            self.texture.colours(&self.gpu, points)
+        })
+    }
+
     /// As [`Renderer::render`], in stage 1's colours: one a face.
     pub fn render_faces(&self, spec: &RenderSpec) -> Result<RgbaImage, RenderError> {
         let colours = &self.model.face_colours;
@@ -161,7 +172,7 @@ impl Renderer {
     fn render_with(
         &self,
         spec: &RenderSpec,
-        albedo: impl Fn(&[SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError>,
+        mut albedo: impl FnMut(&[SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError>,
     ) -> Result<RgbaImage, RenderError> {
         let mut normals = None;
         let picture = self.draw(spec, |points, posed| {
@@ -253,6 +264,24 @@ mod tests {
             for k in 0..3 {
                 assert!((rgb[k] - want[k]).abs() < 1e-4, "{point:?}: {rgb:?}, expected {want:?}");
             }
+        }
+    }
+
+    #[test]
+    fn a_marking_render_tells_the_faces_that_look_at_the_camera() {
+        let Some(renderer) = renderer("render::a_marking_render_tells_the_faces_that_look_at_the_camera") else {
+            return;
+        };
+        let model = renderer.model().clone();
+        let spec = RenderSpec { samples: 2, ..RenderSpec::of_frame(&model, 0) };
+        let mut seen = vec![false; model.body.n_faces()];
+        assert_eq!(renderer.render_marking(&spec, &mut seen).unwrap(), renderer.render(&spec).unwrap());
+        let share = seen.iter().filter(|&&s| s).count() as f64 / seen.len() as f64;
+        assert!((0.2..0.8).contains(&share), "one picture shows {share} of the faces");
+        let vertices = model.posed(&model.poses[0], model.transl[0]).vertices;
+        for (face, _) in model.body.faces.iter().zip(&seen).filter(|(_, seen)| **seen) {
+            let [a, b, c] = face.map(|v| glam::Vec3::from(vertices[v as usize]));
+            assert!((b - a).cross(c - a).dot(a) < 1e-6, "a face that looks away was seen: {face:?}");
         }
     }
 

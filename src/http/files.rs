@@ -17,7 +17,10 @@ use crate::storage::{ByteRange, open_range, parse_range};
 
 const CHUNK_BYTES: usize = 256 << 10;
 
-/// Download a file of an avatar: `avatar.glb`, `texture.png`, `motion.npz`, `report.json`, …
+/// A report shows itself: no script runs in it, it fetches nothing, and it is of no origin.
+const PAGE_POLICY: &str = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:";
+
+/// Download a file of an avatar: `avatar.glb`, `texture.png`, `motion.npz`, `report.json`, `report.html`, …
 #[utoipa::path(
     get, path = "/v1/avatars/{id}/{file}", tag = "avatars",
     params(
@@ -76,7 +79,9 @@ async fn send(path: &FilePath, file: &AvatarFile, headers: &HeaderMap) -> Result
     let described = [
         (header::CONTENT_TYPE, content_type(&file.name).to_string()),
         (header::CONTENT_LENGTH, range.len().to_string()),
-        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{}\"", file.name)),
+        (header::CONTENT_DISPOSITION, format!("{}; filename=\"{}\"", disposition(&file.name), file.name)),
+        (header::CONTENT_SECURITY_POLICY, PAGE_POLICY.to_string()),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff".to_string()),
     ];
     let reader = open_range(path, range).await?;
     let body = Body::from_stream(ReaderStream::with_capacity(reader, CHUNK_BYTES));
@@ -99,12 +104,18 @@ pub(super) fn matches_etag(headers: &HeaderMap, etag: &str) -> bool {
     tags.any(|tag| tag == "*" || tag.strip_prefix("W/").unwrap_or(tag) == etag)
 }
 
+/// Reports are to be read, all else is to be kept.
+fn disposition(name: &str) -> &'static str {
+    if name.ends_with(".html") { "inline" } else { "attachment" }
+}
+
 fn content_type(name: &str) -> &'static str {
     match name.rsplit_once('.').map(|(_, extension)| extension) {
         Some("glb" | "vrm") => "model/gltf-binary",
         Some("png") => "image/png",
         Some("json") => "application/json",
         Some("mp4") => "video/mp4",
+        Some("html") => "text/html; charset=utf-8",
         _ => "application/octet-stream",
     }
 }

@@ -1,8 +1,11 @@
 //! A job from files to files: decode, fit, bake, export. `effigy fit` runs the same pipeline without a server.
 
 mod export;
+mod page;
 mod preview;
+mod quality;
 mod run;
+mod score;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

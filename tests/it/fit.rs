@@ -104,9 +104,27 @@ fn a_clip_becomes_an_avatar_that_looks_like_the_person() {
     assert_eq!(outcome.frames, 12);
     assert!(outcome.metrics["mask_iou"].as_f64().unwrap() > 0.9, "{:#}", outcome.metrics);
     assert!(outcome.metrics["psnr"].as_f64().unwrap() > 20.0, "{:#}", outcome.metrics);
-    for file in ["avatar.glb", "texture.png", "motion.npz", "mesh.ply", "report.json", "model.npz"] {
+    for file in ["avatar.glb", "texture.png", "motion.npz", "mesh.ply", "report.json", "report.html", "model.npz"] {
         assert!(folder.path().join("out").join(file).metadata().unwrap().len() > 100, "{file}");
     }
+    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+    let quality = serde_json::from_slice::<serde_json::Value>(&report).unwrap()["quality"].take();
+    let codes: Vec<&str> = quality["flags"].as_array().unwrap().iter().map(|f| f["code"].as_str().unwrap()).collect();
+    assert!(codes.starts_with(&["few_frames", "low_resolution"]), "12 frames of 96 pixels: {codes:?}");
+    assert!(!codes.contains(&"no_full_turn") && !codes.contains(&"focal_estimated"), "{codes:?}");
+    assert_eq!(quality["frames"].as_array().unwrap().len(), 12);
+    let page = std::fs::read_to_string(folder.path().join("out/report.html")).unwrap();
+    for shown in ["few_frames", "Stage 1", "Stage 2", "face area", "frame 11", "the avatar from ten sides", "geometry"]
+    {
+        assert!(page.contains(shown), "report.html does not show `{shown}`");
+    }
+    let pictures = page.matches("<img").count();
+    assert!(
+        (6..=9).contains(&pictures),
+        "a turntable, five spread frames and those of three worst that are none: {pictures}"
+    );
+    let unseen = quality["surface"]["unseen_area"].as_f64().unwrap();
+    assert!(unseen > 0.0 && unseen < 0.5, "soles and armpits are not seen, most else is: {unseen}");
     let model = AvatarModel::load(&folder.path().join("out/model.npz")).unwrap();
     assert_eq!((model.poses.len(), model.frames[11]), (12, 11));
 

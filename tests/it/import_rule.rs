@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 /// Folder → the folders that it may name. Root leaves (`camera`, `npz`, `data_dir`) are open to all.
 const RULE: &[(&str, &[&str])] = &[
     ("http", &["jobs", "storage", "capture"]),
-    ("worker", &["jobs", "storage", "capture", "fit", "avatar", "eval", "gpu", "body"]),
+    ("worker", &["jobs", "storage", "capture", "fit", "avatar", "eval", "quality", "page", "gpu", "body"]),
+    ("quality", &["capture", "ops"]),
     ("fit", &["ops", "body", "gpu", "capture"]),
     ("avatar", &["ops", "body", "gpu"]),
     ("bench", &["fit", "avatar", "ops", "body", "gpu", "capture"]),
@@ -20,6 +21,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("body", &[]),
     ("gpu", &[]),
     ("config", &[]),
+    ("page", &[]),
     ("webhooks", &["jobs"]),
 ];
 

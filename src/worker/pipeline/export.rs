@@ -3,30 +3,33 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use image::{GrayImage, Luma};
 use serde_json::json;
 
+use super::page;
+use super::quality::Quality;
 use super::run::Monitor;
+use super::score::{FrameScore, score_frames};
 use super::{Outcome, PipelineError, PipelineInput, Stage};
-use crate::avatar::{AvatarModel, Background, RenderSpec, Renderer};
+use crate::avatar::{AvatarModel, Renderer};
 use crate::body::Body;
-use crate::camera::Camera;
-use crate::capture::{Capture, Frame};
-use crate::eval::mask_iou;
+use crate::capture::Capture;
 use crate::fit::stage0::Stage0Result;
 use crate::fit::{FitConfig, FitState};
 use crate::gpu::Gpu;
+use crate::quality::FrameMeasures;
 
 /// All that a fit knows at its end.
 pub(super) struct Fitted {
     pub body: Body,
     pub capture: Capture,
+    /// Of the clip as it came.
+    pub measures: Vec<FrameMeasures>,
     pub start: Stage0Result,
     pub state: FitState,
     pub config: FitConfig,
 }
 
-/// Writes the avatar's files and `report.json` into `out`.
+/// Writes the avatar's files, `report.json` and `report.html` into `out`.
 pub(super) fn export(
     gpu: &Arc<Gpu>,
     fitted: &Fitted,
@@ -39,10 +42,15 @@ pub(super) fn export(
     let model = Arc::new(model_of(fitted, &frames));
     let renderer = write_files(gpu, &model, input.options.texture_px, out)?;
     monitor.start(Stage::Export)?;
-    let scores = score_frames(&renderer, &fitted.capture, &model.camera, monitor)?;
+    let mut seen = vec![false; model.body.n_faces()];
+    let scores = score_frames(&renderer, &fitted.capture, &mut seen, monitor)?;
+    let quality = Quality::of(fitted, &model, &scores, &seen);
+    let pictures = page::pictures(&renderer, &fitted.capture, &scores)?;
     monitor.end();
-    let report = report(gpu, fitted, input, &scores, monitor);
+    let report = report(gpu, fitted, input, &scores, &quality, monitor);
     write_report(&report, out)?;
+    let html = page::html(&report, &quality, &monitor.curves, &pictures);
+    std::fs::write(out.join("report.html"), html).map_err(anyhow::Error::from)?;
     Ok(Outcome { frames: frames.len() as u32, camera: model.camera.clone(), metrics: report["metrics"].clone() })
 }
 
@@ -76,69 +84,12 @@ fn model_of(fitted: &Fitted, frames: &[u32]) -> AvatarModel {
     }
 }
 
-/// Mask overlap and image fidelity of one training frame.
-struct FrameScore {
-    frame: u32,
-    iou: f64,
-    psnr: f64,
-}
-
-fn score_frames(
-    renderer: &Renderer,
-    capture: &Capture,
-    camera: &Camera,
-    monitor: &mut Monitor<'_>,
-) -> Result<Vec<FrameScore>, PipelineError> {
-    let n = capture.frames.len();
-    let mut scores = Vec::with_capacity(n);
-    for (k, frame) in capture.frames.iter().enumerate() {
-        let spec = RenderSpec {
-            camera: crop(camera, frame),
-            background: Background::Transparent,
-            samples: 2,
-            ..RenderSpec::of_frame(renderer.model(), k)
-        };
-        let picture = renderer.render(&spec).map_err(anyhow::Error::from)?;
-        let ours = GrayImage::from_fn(frame.width, frame.height, |x, y| Luma([picture.get_pixel(x, y).0[3]]));
-        let theirs =
-            GrayImage::from_fn(frame.width, frame.height, |x, y| Luma([frame.mask[(y * frame.width + x) as usize]]));
-        let psnr = psnr_on_white(&picture, frame, camera);
-        scores.push(FrameScore { frame: frame.index, iou: mask_iou(&ours, &theirs), psnr });
-        monitor.tell(Stage::Export, k as u32 + 1, n as u32);
-    }
-    Ok(scores)
-}
-
-/// The camera that sees the frame's crop.
-pub(super) fn crop(camera: &Camera, frame: &Frame) -> Camera {
-    Camera {
-        width: frame.width,
-        height: frame.height,
-        cx: camera.cx - frame.x0 as f64,
-        cy: camera.cy - frame.y0 as f64,
-        ..camera.clone()
-    }
-}
-
-/// PSNR over the whole image, both on white; outside the crop both are white.
-fn psnr_on_white(picture: &image::RgbaImage, frame: &Frame, camera: &Camera) -> f64 {
-    let mut squares = 0.0;
-    for ((pixel, rgb), &mask) in picture.pixels().zip(frame.rgb.as_chunks::<3>().0).zip(&frame.mask) {
-        let alpha = pixel.0[3] as f64 / 255.0;
-        for (ours, theirs) in pixel.0[..3].iter().zip(rgb) {
-            let ours = alpha * *ours as f64 / 255.0 + (1.0 - alpha);
-            let theirs = if mask >= 128 { *theirs as f64 / 255.0 } else { 1.0 };
-            squares += (ours - theirs).powi(2);
-        }
-    }
-    -10.0 * (squares / (3.0 * camera.width as f64 * camera.height as f64)).max(1e-10).log10()
-}
-
 fn report(
     gpu: &Gpu,
     fitted: &Fitted,
     input: &PipelineInput,
     scores: &[FrameScore],
+    quality: &Quality<'_>,
     monitor: &Monitor<'_>,
 ) -> serde_json::Value {
     let n = scores.len().max(1) as f64;
@@ -178,6 +129,7 @@ fn report(
             "swapped_frames": fitted.start.report.swapped,
             "notes": fitted.start.report.notes,
         },
+        "quality": quality,
         "warnings": fitted.capture.warnings,
         "camera": fitted.start.camera,
         "camera_estimated": fitted.capture.camera_estimated,

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use image::DynamicImage;
 use image::codecs::jpeg::JpegEncoder;
 
-use super::export::crop;
+use super::score::crop;
 use crate::avatar::{AvatarModel, Background, RenderSpec, Renderer};
 use crate::body::Body;
 use crate::camera::Camera;

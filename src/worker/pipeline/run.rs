@@ -15,6 +15,7 @@ use crate::fit::stage0::{self, Stage0Error, Stage0Options, Stage0Result};
 use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
 use crate::gpu::Gpu;
 use crate::jobs::{JobOptions, Preset};
+use crate::quality;
 
 /// The part of a job that each stage takes, roughly, for the progress of the whole.
 const SHARES: [(Stage, f32); 6] = [
@@ -45,6 +46,8 @@ pub fn run(
     monitor.start(Stage::Decode)?;
     let body = load_body(data_dir, &input.options.body)?;
     let mut capture = load_capture(input)?;
+    // Of the detections as they were given: what follows reads them anew.
+    let measures = quality::measure(&capture);
     monitor.start(Stage::Pose)?;
     let start = solve_poses(&body, &capture, input.options.height_m, &mut monitor)?;
     start.reread(&mut capture);
@@ -63,7 +66,7 @@ pub fn run(
     monitor.start(Stage::Geometry)?;
     let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
     let state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
-    let done = export::Fitted { body, capture, start, state, config };
+    let done = export::Fitted { body, capture, measures, start, state, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)
 }
 

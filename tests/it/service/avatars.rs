@@ -73,6 +73,19 @@ async fn a_file_is_sent_whole_in_ranges_or_not_at_all() {
 }
 
 #[tokio::test]
+async fn a_report_is_shown_and_can_do_nothing() {
+    let bench = Bench::new().await;
+    let files: [(&str, &[u8]); 2] = [("avatar.glb", GLB), ("report.html", b"<!doctype html><title>report</title>")];
+    let path = format!("/v1/avatars/{}/report.html", bench.publish(&files).await);
+    let page = bench.get(&path).await;
+    assert_eq!(page.header("content-type"), "text/html; charset=utf-8");
+    assert!(page.header("content-disposition").starts_with("inline"));
+    let policy = page.header("content-security-policy");
+    assert!(policy.starts_with("sandbox;") && policy.contains("default-src 'none'"), "{policy}");
+    assert_eq!(page.header("x-content-type-options"), "nosniff");
+}
+
+#[tokio::test]
 async fn unknown_files_stay_unknown() {
     let bench = Bench::new().await;
     let path = avatar(&bench).await;

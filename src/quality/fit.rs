@@ -1,0 +1,144 @@
+//! What the fit tells about the clip.
+
+use super::clip::{median, of};
+use super::flag::{Flag, Kind};
+use crate::camera::Camera;
+
+/// A turn that leaves a gap shows in the avatar.
+const FULL_TURN_DEGREES: f64 = 330.0;
+/// A frame's IoU that is low by itself, or low beside the clip's median.
+const LOW_IOU: f64 = 0.85;
+const BELOW_MEDIAN: f64 = 0.04;
+/// Field of view along the longer side: from a phone's tele lens to its widest one.
+const VIEWS_DEGREES: [f64; 2] = [15.0, 110.0];
+
+/// What is known at the end of a fit.
+#[derive(Clone, Debug)]
+pub struct FitFindings<'a> {
+    /// `[N]` of the video
+    pub frames: &'a [u32],
+    /// `[N]` of the avatar's mask with the clip's
+    pub iou: &'a [f64],
+    /// `[N, 72]`: joint 0 is the root's axis-angle, world space
+    pub poses: &'a [[f32; 72]],
+    /// Frames of the video whose sides were exchanged
+    pub swapped: &'a [u32],
+    pub camera: &'a Camera,
+    pub camera_estimated: bool,
+}
+
+/// The flags that a fit raises.
+pub fn fit_flags(found: &FitFindings<'_>) -> Vec<Flag> {
+    let flags = [no_full_turn(found), focal(found), sides_swapped(found), fit_misses(found)];
+    flags.into_iter().flatten().collect()
+}
+
+/// Degrees of the circle that the person's facings cover: 360 without the largest gap between neighbouring facings, as far as
+/// it is larger than the usual one.
+pub fn turn_coverage_degrees(poses: &[[f32; 72]]) -> f64 {
+    let facing = |pose: &[f32; 72]| {
+        let root = glam::Quat::from_scaled_axis(glam::Vec3::new(pose[0], pose[1], pose[2]));
+        let ahead = root * glam::Vec3::Z;
+        f64::from(ahead.x.atan2(ahead.z)).to_degrees().rem_euclid(360.0)
+    };
+    let mut facings: Vec<f64> = poses.iter().map(facing).collect();
+    facings.sort_by(f64::total_cmp);
+    let Some((&first, &last)) = facings.first().zip(facings.last()) else { return 0.0 };
+    let mut gaps: Vec<f64> = facings.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    gaps.push(first + 360.0 - last);
+    let largest = gaps.iter().copied().fold(0.0, f64::max);
+    // Facings are samples of a turn: between two of them lies what either nearly shows.
+    let usual = 360.0 / facings.len() as f64;
+    (360.0 - (largest - usual).max(0.0)).clamp(0.0, 360.0)
+}
+
+fn no_full_turn(found: &FitFindings<'_>) -> Option<Flag> {
+    let covered = turn_coverage_degrees(found.poses);
+    let message = format!("the person turned through {covered:.0} of 360 degrees");
+    (covered < FULL_TURN_DEGREES).then(|| Flag::of_clip(Kind::NoFullTurn, message, covered, FULL_TURN_DEGREES))
+}
+
+fn focal(found: &FitFindings<'_>) -> Option<Flag> {
+    let Camera { width, height, fx, fy, .. } = *found.camera;
+    let (side, focal) = if width >= height { (width, fx) } else { (height, fy) };
+    let view = 2.0 * (0.5 * f64::from(side) / focal).atan().to_degrees();
+    let [narrow, wide] = VIEWS_DEGREES;
+    if !(narrow..=wide).contains(&view) {
+        let message = format!("a focal length of {focal:.0} px means a view of {view:.0} degrees");
+        let limit = if view < narrow { narrow } else { wide };
+        return Some(Flag::of_clip(Kind::FocalSuspicious, message, view, limit));
+    }
+    let message = format!("no focal length was given; {focal:.0} px were found");
+    found.camera_estimated.then(|| Flag::of_clip(Kind::FocalEstimated, message, focal, 0.0))
+}
+
+fn sides_swapped(found: &FitFindings<'_>) -> Option<Flag> {
+    let (swapped, all) = (found.swapped, found.frames.len());
+    let message = format!("left and right were exchanged in {}", of(swapped, all));
+    let part = swapped.len() as f64 / all.max(1) as f64;
+    (!swapped.is_empty()).then(|| Flag::of_frames(Kind::SidesSwapped, message, swapped.to_vec(), part, 0.0))
+}
+
+fn fit_misses(found: &FitFindings<'_>) -> Option<Flag> {
+    let limit = (median(found.iou.to_vec())? - BELOW_MEDIAN).max(LOW_IOU);
+    let low = || found.frames.iter().zip(found.iou).filter(|(_, iou)| **iou < limit);
+    let frames: Vec<u32> = low().map(|(frame, _)| *frame).collect();
+    let worst = low().map(|(_, iou)| *iou).reduce(f64::min)?;
+    let message = format!("the fit does not fill the mask in {}", of(&frames, found.frames.len()));
+    Some(Flag::of_frames(Kind::FitMisses, message, frames, worst, limit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `n` facings over `degrees`, upside down as a camera's y axis has it.
+    fn turn(n: usize, degrees: f32) -> Vec<[f32; 72]> {
+        let pose = |i: usize| {
+            let angle = degrees.to_radians() * i as f32 / n as f32;
+            let root = glam::Quat::from_rotation_x(std::f32::consts::PI) * glam::Quat::from_rotation_y(angle);
+            let mut pose = [0.0; 72];
+            pose[..3].copy_from_slice(&root.to_scaled_axis().to_array());
+            pose
+        };
+        (0..n).map(pose).collect()
+    }
+
+    #[test]
+    fn coverage_is_what_the_facings_leave_no_gap_in() {
+        assert_eq!(turn_coverage_degrees(&[]), 0.0);
+        for (n, degrees, want) in [(60, 360.0, 360.0), (60, 270.0, 271.5), (8, 360.0, 360.0), (60, 540.0, 360.0)] {
+            let covered = turn_coverage_degrees(&turn(n, degrees));
+            assert!((covered - want).abs() < 4.0, "{n} frames over {degrees}: {covered}");
+        }
+    }
+
+    #[test]
+    fn each_finding_has_its_flag() {
+        let poses = turn(40, 200.0);
+        let frames: Vec<u32> = (0..40).collect();
+        let mut iou = vec![0.97; 40];
+        (iou[3], iou[9]) = (0.91, 0.5);
+        let camera = Camera::pinhole(360, 640, [700.0, 700.0, 180.0, 320.0]);
+        let good = FitFindings {
+            frames: &frames,
+            iou: &[0.96; 40],
+            poses: &turn(40, 360.0),
+            swapped: &[],
+            camera: &camera,
+            camera_estimated: false,
+        };
+        assert_eq!(fit_flags(&good), []);
+        let bad = FitFindings { iou: &iou, poses: &poses, swapped: &[20, 21], camera_estimated: true, ..good.clone() };
+        let flags = fit_flags(&bad);
+        let codes: Vec<&str> = flags.iter().map(|f| f.code).collect();
+        assert_eq!(codes, ["no_full_turn", "focal_estimated", "sides_swapped", "fit_misses"]);
+        assert!((flags[0].value - 204.0).abs() < 2.0, "{}", flags[0].value);
+        assert_eq!((flags[2].frames.as_slice(), flags[2].value), (&[20, 21][..], 0.05));
+        assert_eq!((flags[3].frames.as_slice(), flags[3].value), (&[3, 9][..], 0.5));
+        let odd = Camera { fy: 4000.0, ..camera.clone() };
+        let flags = fit_flags(&FitFindings { camera: &odd, ..good });
+        assert_eq!(flags.iter().map(|f| f.code).collect::<Vec<_>>(), ["focal_suspicious"]);
+        assert!((flags[0].value - 9.1).abs() < 0.1);
+    }
+}
