@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use effigy::avatar::{AvatarModel, Renderer};
-use effigy::eval::{Subject, evaluate};
+use effigy::eval::{EvalOptions, Subject, evaluate};
 use effigy::gpu::{DeviceSelect, Gpu};
 
 #[derive(clap::Args)]
@@ -18,9 +18,12 @@ pub struct Args {
     /// Print the report as JSON instead of a table.
     #[arg(long)]
     json: bool,
-    /// Folder for `eval.json` and the pictures: truth, ours, absolute error.
+    /// Folder for `eval.json`, `eval.html` and the pictures: truth, ours, absolute error.
     #[arg(long)]
     out: Option<PathBuf>,
+    /// Compare novel poses also after refining pose and place on each picture; the avatar itself stands.
+    #[arg(long)]
+    refine: bool,
 }
 
 pub fn run(args: Args) -> Result<()> {
@@ -30,8 +33,9 @@ pub fn run(args: Args) -> Result<()> {
         std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     }
     let renderer = Renderer::new(&Gpu::open(&DeviceSelect::Auto)?, &Arc::new(model))?;
+    let options = EvalOptions { out: args.out.as_deref(), refine: args.refine };
     let spinner = super::spinner();
-    let report = evaluate(&renderer, &subject, args.out.as_deref(), |what| spinner.set_message(what.to_owned()))?;
+    let report = evaluate(&renderer, &subject, &options, |what| spinner.set_message(what.to_owned()))?;
     spinner.finish_and_clear();
     let json = serde_json::to_string_pretty(&report)?;
     if let Some(out) = &args.out {

@@ -1,6 +1,7 @@
-//! Image metrics: PSNR and SSIM of RGB pictures in [0, 1], and the overlap of masks.
+//! Image metrics: PSNR and SSIM of RGB pictures in [0, 1], over the whole picture or over a mask's foreground, and the overlap
+//! of masks.
 
-use image::{GrayImage, RgbImage};
+use image::{GrayImage, Rgb, RgbImage};
 
 /// `10 log₁₀(1 / MSE)` in dB over all pixels and channels, range 1; infinite for equal pictures.
 ///
@@ -8,9 +9,29 @@ use image::{GrayImage, RgbImage};
 /// When the sizes differ.
 pub fn psnr(a: &RgbImage, b: &RgbImage) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions(), "sizes");
-    let square = |(&x, &y): (&u8, &u8)| ((x as f64 - y as f64) / 255.0).powi(2);
-    let mse = a.as_raw().iter().zip(b.as_raw()).map(square).sum::<f64>() / a.as_raw().len() as f64;
-    -10.0 * mse.log10()
+    decibels(a.pixels().zip(b.pixels()).map(|(p, q)| squares(p, q)))
+}
+
+/// As [`psnr`], over the pixels that `mask` marks (≥ 128); `None` where there are none.
+///
+/// # Panics
+/// When the sizes differ.
+pub fn psnr_inside(a: &RgbImage, b: &RgbImage, mask: &GrayImage) -> Option<f64> {
+    assert!(a.dimensions() == b.dimensions() && a.dimensions() == mask.dimensions(), "sizes");
+    let inside = a.pixels().zip(b.pixels()).zip(mask.pixels()).filter(|(_, m)| m.0[0] >= 128);
+    let mut inside = inside.map(|((p, q), _)| squares(p, q)).peekable();
+    inside.peek()?;
+    Some(decibels(inside))
+}
+
+/// Mean of the three squared differences.
+fn squares(p: &Rgb<u8>, q: &Rgb<u8>) -> f64 {
+    p.0.iter().zip(q.0).map(|(&x, y)| ((x as f64 - y as f64) / 255.0).powi(2)).sum::<f64>() / 3.0
+}
+
+fn decibels(squares: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = squares.fold((0.0, 0u64), |(sum, count), s| (sum + s, count + 1));
+    -10.0 * (sum / count as f64).log10()
 }
 
 /// Radius and σ of SSIM's window: 11×11 pixels.
@@ -23,15 +44,34 @@ const SIGMA: f64 = 1.5;
 /// # Panics
 /// When the sizes differ or a side is shorter than 11.
 pub fn ssim(a: &RgbImage, b: &RgbImage) -> f64 {
+    let map = ssim_map(a, b);
+    map.iter().sum::<f64>() / map.len() as f64
+}
+
+/// As [`ssim`], over the pixels that `mask` marks (≥ 128) and whose window lies in the picture; `None` where there are none.
+///
+/// # Panics
+/// When the sizes differ or a side is shorter than 11.
+pub fn ssim_inside(a: &RgbImage, b: &RgbImage, mask: &GrayImage) -> Option<f64> {
+    assert_eq!(a.dimensions(), mask.dimensions(), "sizes");
+    let fit = a.width() - 2 * RADIUS as u32;
+    let marked = |i: u32| mask.get_pixel(i % fit + RADIUS as u32, i / fit + RADIUS as u32).0[0] >= 128;
+    let map = ssim_map(a, b);
+    let inside: Vec<f64> = map.iter().zip(0..).filter(|(_, i)| marked(*i)).map(|(s, _)| *s).collect();
+    (!inside.is_empty()).then(|| inside.iter().sum::<f64>() / inside.len() as f64)
+}
+
+/// `[height − 10, width − 10]`: the channels' mean similarity of each window.
+fn ssim_map(a: &RgbImage, b: &RgbImage) -> Vec<f64> {
     assert_eq!(a.dimensions(), b.dimensions(), "sizes");
     let (width, height) = (a.width() as usize, a.height() as usize);
     assert!(width > 2 * RADIUS && height > 2 * RADIUS, "SSIM needs at least 11 pixels a side");
     let channel = |image: &RgbImage, k: usize| -> Vec<f64> { image.pixels().map(|p| p.0[k] as f64 / 255.0).collect() };
-    let means = (0..3).map(|k| ssim_channel(&channel(a, k), &channel(b, k), width));
-    means.sum::<f64>() / 3.0
+    let [r, g, b] = std::array::from_fn(|k| ssim_channel(&channel(a, k), &channel(b, k), width));
+    r.iter().zip(&g).zip(&b).map(|((r, g), b)| (r + g + b) / 3.0).collect()
 }
 
-fn ssim_channel(x: &[f64], y: &[f64], width: usize) -> f64 {
+fn ssim_channel(x: &[f64], y: &[f64], width: usize) -> Vec<f64> {
     const C1: f64 = 0.01 * 0.01;
     const C2: f64 = 0.03 * 0.03;
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<f64>>();
@@ -42,7 +82,7 @@ fn ssim_channel(x: &[f64], y: &[f64], width: usize) -> f64 {
         let (vx, vy, cov) = (xx[i] - ux[i] * ux[i], yy[i] - uy[i] * uy[i], xy[i] - ux[i] * uy[i]);
         (2.0 * ux[i] * uy[i] + C1) * (2.0 * cov + C2) / ((ux[i] * ux[i] + uy[i] * uy[i] + C1) * (vx + vy + C2))
     };
-    (0..ux.len()).map(similarity).sum::<f64>() / ux.len() as f64
+    (0..ux.len()).map(similarity).collect()
 }
 
 /// Gaussian means over all windows that fit, separably.
@@ -83,7 +123,7 @@ pub fn mask_iou(a: &GrayImage, b: &GrayImage) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use image::{Luma, Rgb};
+    use image::Luma;
 
     use super::*;
 
@@ -115,6 +155,24 @@ mod tests {
         let (a, _) = pair();
         assert_eq!(psnr(&a, &a), f64::INFINITY);
         assert!((ssim(&a, &a) - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_foreground_counts_alone() {
+        let (a, b) = pair();
+        // What is outside of the mask may be anything.
+        let mask = GrayImage::from_fn(32, 24, |x, _| Luma([if x < 20 { 255 } else { 0 }]));
+        let far = RgbImage::from_fn(32, 24, |x, y| if x < 20 { *b.get_pixel(x, y) } else { Rgb([0; 3]) });
+        let crop = |image: &RgbImage| image::imageops::crop_imm(image, 0, 0, 20, 24).to_image();
+        let want = psnr(&crop(&a), &crop(&b));
+        assert!((psnr_inside(&a, &far, &mask).unwrap() - want).abs() < 1e-9);
+        let windows = GrayImage::from_fn(32, 24, |x, _| Luma([if x < 15 { 255 } else { 0 }]));
+        assert!((ssim_inside(&a, &far, &windows).unwrap() - ssim(&crop(&a), &crop(&b))).abs() < 1e-9);
+        let all = GrayImage::from_pixel(32, 24, Luma([255]));
+        assert!((psnr_inside(&a, &b, &all).unwrap() - PSNR).abs() < 1e-9);
+        assert!((ssim_inside(&a, &b, &all).unwrap() - SSIM).abs() < 1e-9);
+        let none = GrayImage::new(32, 24);
+        assert_eq!((psnr_inside(&a, &b, &none), ssim_inside(&a, &b, &none)), (None, None));
     }
 
     #[test]

@@ -1,17 +1,22 @@
 //! How well an avatar matches the truth: image, mask, surface and joint errors against a folder of truth.
 
+mod flip;
 mod geometry;
 mod image;
 mod nearest;
+mod page;
+mod refine;
 mod report;
 mod run;
+mod shot;
 mod subject;
 mod synth;
 
+pub use self::flip::{flip, flip_map};
 pub use self::geometry::{Distances, Similarity, align, distances, sample, umeyama};
-pub use self::image::{mask_iou, psnr, ssim};
+pub use self::image::{mask_iou, psnr, psnr_inside, ssim, ssim_inside};
 pub use nearest::Surface;
-pub use report::{FrameIou, GeometryScore, ImageScore, JointScore, Report, Summary};
-pub use run::{EvalError, evaluate};
+pub use report::{FrameIou, GeometryScore, ImageMeans, ImageScore, JointScore, Report, Summary};
+pub use run::{EvalError, EvalOptions, evaluate};
 pub use subject::{Novel, NovelPose, Subject, SubjectError};
 pub use synth::{Outfit, SynthError, SynthOptions, synthesise};

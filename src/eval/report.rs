@@ -2,12 +2,54 @@
 
 use super::geometry::Distances;
 
-/// A held-out picture on white.
+/// A held-out picture against ours.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct ImageScore {
     pub name: String,
+    /// On white, the whole picture.
     pub psnr_db: f64,
     pub ssim: f64,
+    pub psnr_black_db: f64,
+    pub ssim_black: f64,
+    /// On white, the pixels of the truth's mask; absent where that is empty.
+    pub psnr_foreground_db: Option<f64>,
+    pub ssim_foreground: Option<f64>,
+    /// On white: 0 is none, 1 the most.
+    pub flip: f64,
+    pub flip_foreground: Option<f64>,
+}
+
+/// Means over pictures; see [`ImageScore`].
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct ImageMeans {
+    pub psnr_db: f64,
+    pub ssim: f64,
+    pub psnr_black_db: f64,
+    pub ssim_black: f64,
+    pub psnr_foreground_db: Option<f64>,
+    pub ssim_foreground: Option<f64>,
+    pub flip: f64,
+    pub flip_foreground: Option<f64>,
+}
+
+impl ImageMeans {
+    /// `None` without pictures.
+    pub fn of(rows: &[ImageScore]) -> Option<Self> {
+        let some = |value: fn(&ImageScore) -> Option<f64>| {
+            let values: Vec<f64> = rows.iter().filter_map(value).collect();
+            mean(&values, |v| *v)
+        };
+        Some(Self {
+            psnr_db: mean(rows, |r| r.psnr_db)?,
+            ssim: mean(rows, |r| r.ssim)?,
+            psnr_black_db: mean(rows, |r| r.psnr_black_db)?,
+            ssim_black: mean(rows, |r| r.ssim_black)?,
+            psnr_foreground_db: some(|r| r.psnr_foreground_db),
+            ssim_foreground: some(|r| r.ssim_foreground),
+            flip: mean(rows, |r| r.flip)?,
+            flip_foreground: some(|r| r.flip_foreground),
+        })
+    }
 }
 
 #[derive(Clone, Debug, serde::Serialize)]
@@ -37,14 +79,13 @@ pub struct JointScore {
 /// Means; absent where the folder has no such truth.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct Summary {
-    pub novel_view_psnr_db: Option<f64>,
-    pub novel_view_ssim: Option<f64>,
-    pub novel_pose_psnr_db: Option<f64>,
-    pub novel_pose_ssim: Option<f64>,
-    pub scaled_novel_view_psnr_db: Option<f64>,
-    pub scaled_novel_view_ssim: Option<f64>,
-    pub scaled_novel_pose_psnr_db: Option<f64>,
-    pub scaled_novel_pose_ssim: Option<f64>,
+    pub novel_views: Option<ImageMeans>,
+    pub novel_poses: Option<ImageMeans>,
+    /// As the two above, in our scale.
+    pub scaled_novel_views: Option<ImageMeans>,
+    pub scaled_novel_poses: Option<ImageMeans>,
+    /// In our scale, with poses that were refined on the very pictures.
+    pub refined_novel_poses: Option<ImageMeans>,
     /// Truth over ours.
     pub scale: Option<f64>,
     pub mask_iou: Option<f64>,
@@ -66,6 +107,8 @@ pub struct Report {
     /// As the two above, with places and cameras in our units.
     pub scaled_novel_views: Vec<ImageScore>,
     pub scaled_novel_poses: Vec<ImageScore>,
+    /// As the last, with poses refined against the frozen avatar; empty where that was not asked for.
+    pub refined_novel_poses: Vec<ImageScore>,
     pub mask_iou: Vec<FrameIou>,
     pub geometry: Vec<GeometryScore>,
     pub joints: Option<JointScore>,
@@ -86,14 +129,11 @@ impl Report {
     /// Fills the means in from the rows.
     pub fn summarise(&mut self) {
         self.summary = Summary {
-            novel_view_psnr_db: mean(&self.novel_views, |r| r.psnr_db),
-            novel_view_ssim: mean(&self.novel_views, |r| r.ssim),
-            novel_pose_psnr_db: mean(&self.novel_poses, |r| r.psnr_db),
-            novel_pose_ssim: mean(&self.novel_poses, |r| r.ssim),
-            scaled_novel_view_psnr_db: mean(&self.scaled_novel_views, |r| r.psnr_db),
-            scaled_novel_view_ssim: mean(&self.scaled_novel_views, |r| r.ssim),
-            scaled_novel_pose_psnr_db: mean(&self.scaled_novel_poses, |r| r.psnr_db),
-            scaled_novel_pose_ssim: mean(&self.scaled_novel_poses, |r| r.ssim),
+            novel_views: ImageMeans::of(&self.novel_views),
+            novel_poses: ImageMeans::of(&self.novel_poses),
+            scaled_novel_views: ImageMeans::of(&self.scaled_novel_views),
+            scaled_novel_poses: ImageMeans::of(&self.scaled_novel_poses),
+            refined_novel_poses: ImageMeans::of(&self.refined_novel_poses),
             scale: self.scale(),
             mask_iou: mean(&self.mask_iou, |r| r.iou),
             chamfer_cm: mean(&self.geometry, |r| r.aligned.chamfer_cm),
@@ -106,30 +146,62 @@ impl Report {
         };
     }
 
+    /// The sets of pictures that were compared, with what they are and their rows.
+    pub fn picture_sets(&self) -> [(&'static str, &[ImageScore]); 5] {
+        [
+            ("novel views", &self.novel_views),
+            ("novel poses", &self.novel_poses),
+            ("novel views, in our scale", &self.scaled_novel_views),
+            ("novel poses, in our scale", &self.scaled_novel_poses),
+            ("novel poses, refined", &self.refined_novel_poses),
+        ]
+    }
+
+    /// Names, values and units of what is no picture.
+    pub fn shape_rows(&self) -> [(&'static str, Option<f64>, &'static str, usize); 9] {
+        let s = &self.summary;
+        [
+            ("truth over ours", s.scale, "", 4),
+            ("training masks, IoU", s.mask_iou, "", 4),
+            ("Chamfer, mean of both directions", s.chamfer_cm, "cm", 3),
+            ("Chamfer, sum of both directions", s.chamfer_sum_cm, "cm", 3),
+            ("point to surface", s.point_to_surface_cm, "cm", 3),
+            ("unaligned: Chamfer, mean of both directions", s.unaligned_chamfer_cm, "cm", 3),
+            ("unaligned: point to surface", s.unaligned_point_to_surface_cm, "cm", 3),
+            ("joints, mean error", s.joints_cm, "cm", 2),
+            ("joints, pelvis aligned", s.joints_root_aligned_cm, "cm", 2),
+        ]
+    }
+
+    /// Names and means of the sets of pictures that there are: PSNR and SSIM on white, on black and of the foreground, FLIP
+    /// of the picture and of the foreground.
+    pub fn picture_rows(&self) -> Vec<(&'static str, [Option<f64>; 8])> {
+        let means = self.picture_sets().into_iter().filter_map(|(name, rows)| Some((name, ImageMeans::of(rows)?)));
+        let row = |m: ImageMeans| {
+            let on_colours = [m.psnr_db, m.ssim, m.psnr_black_db, m.ssim_black].map(Some);
+            let [a, b, c, d] = on_colours;
+            [a, b, c, d, m.psnr_foreground_db, m.ssim_foreground, Some(m.flip), m.flip_foreground]
+        };
+        means.map(|(name, means)| (name, row(means))).collect()
+    }
+
     /// The means as a table for people.
     pub fn table(&self) -> String {
-        let s = &self.summary;
-        let rows = [
-            ("novel views   PSNR on white", s.novel_view_psnr_db, "dB", 2),
-            ("              SSIM", s.novel_view_ssim, "", 4),
-            ("novel poses   PSNR on white", s.novel_pose_psnr_db, "dB", 2),
-            ("              SSIM", s.novel_pose_ssim, "", 4),
-            ("  in our scale  novel views   PSNR on white", s.scaled_novel_view_psnr_db, "dB", 2),
-            ("                              SSIM", s.scaled_novel_view_ssim, "", 4),
-            ("                novel poses   PSNR on white", s.scaled_novel_pose_psnr_db, "dB", 2),
-            ("                              SSIM", s.scaled_novel_pose_ssim, "", 4),
-            ("                truth over ours", s.scale, "", 4),
-            ("training masks  IoU", s.mask_iou, "", 4),
-            ("surface       Chamfer (mean of both directions)", s.chamfer_cm, "cm", 3),
-            ("              Chamfer (sum of both directions)", s.chamfer_sum_cm, "cm", 3),
-            ("              point to surface", s.point_to_surface_cm, "cm", 3),
-            ("  unaligned   Chamfer (mean of both directions)", s.unaligned_chamfer_cm, "cm", 3),
-            ("              point to surface", s.unaligned_point_to_surface_cm, "cm", 3),
-            ("joints        mean error", s.joints_cm, "cm", 2),
-            ("              pelvis aligned", s.joints_root_aligned_cm, "cm", 2),
-        ];
         let mut text = String::new();
-        for (name, value, unit, digits) in rows {
+        if !self.picture_rows().is_empty() {
+            let heads = ["on white", "on black", "foreground", "FLIP"];
+            let [a, b, c, d] = heads;
+            text += &format!("{:<28}{a:>17}{b:>17}{c:>17}{d:>17}\n", "pictures: PSNR in dB, SSIM");
+        }
+        for (name, values) in self.picture_rows() {
+            let cell = |k: usize, digits: usize| values[k].map_or("—".to_owned(), |v| format!("{v:.digits$}"));
+            text += &format!("  {name:<26}");
+            for k in [0, 2, 4] {
+                text += &format!("{:>17}", format!("{} {}", cell(k, 2), cell(k + 1, 4)));
+            }
+            text += &format!("{:>17}\n", format!("{} {}", cell(6, 4), cell(7, 4)));
+        }
+        for (name, value, unit, digits) in self.shape_rows() {
             let value = value.map_or("—".to_owned(), |v| format!("{v:.digits$} {unit}"));
             text += &format!("{name:<50} {:>12}\n", value.trim_end());
         }

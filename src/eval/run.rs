@@ -3,16 +3,28 @@
 use std::path::Path;
 
 use glam::DVec3;
-use image::{Rgb, RgbImage};
 
 use super::geometry::{Similarity, align, distances};
-use super::image::{mask_iou, psnr, ssim};
+use super::image::mask_iou;
+use super::page::{self, Cards, Set};
+use super::refine::refined;
 use super::report::{FrameIou, GeometryScore, ImageScore, JointScore, Report};
+use super::shot::Shot;
 use super::subject::{Novel, NovelPose, Subject, SubjectError};
-use crate::avatar::{AvatarModel, Background, Place, RenderError, RenderSpec, Renderer};
+use crate::avatar::{AvatarModel, Place, RenderError, RenderSpec, Renderer};
+use crate::fit::FitError;
 
-/// Samples along a pixel's side of the compared pictures: the truth's are well antialiased.
+/// Samples along a pixel's side of the compared masks.
 const SAMPLES: u32 = 4;
+
+/// What an evaluation does besides the figures.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct EvalOptions<'a> {
+    /// Folder for `eval.html` and for a picture of every novel one: truth, ours, absolute error.
+    pub out: Option<&'a Path>,
+    /// Compare novel poses also after refining them on their pictures.
+    pub refine: bool,
+}
 
 /// Why an evaluation stopped.
 #[derive(Debug, thiserror::Error)]
@@ -21,18 +33,25 @@ pub enum EvalError {
     Subject(#[from] SubjectError),
     #[error(transparent)]
     Render(#[from] RenderError),
+    #[error("refining a pose: {0}")]
+    Refine(#[from] FitError),
     #[error(transparent)]
     Io(#[from] std::io::Error),
     #[error("{picture}: {reason}")]
     Picture { picture: String, reason: String },
 }
 
-/// Compares the renderer's avatar with all the truth that `subject` has. With `out`, writes a picture for every novel one:
-/// truth, ours, absolute error. `progress` hears what is done.
+impl EvalError {
+    fn picture(novel: &Novel, reason: &dyn std::fmt::Display) -> Self {
+        Self::Picture { picture: novel.name.clone(), reason: reason.to_string() }
+    }
+}
+
+/// Compares the renderer's avatar with all the truth that `subject` has. `progress` hears what is done.
 pub fn evaluate(
     renderer: &Renderer,
     subject: &Subject,
-    out: Option<&Path>,
+    options: &EvalOptions<'_>,
     mut progress: impl FnMut(&str),
 ) -> Result<Report, EvalError> {
     let mut report = Report::default();
@@ -40,33 +59,55 @@ pub fn evaluate(
         progress(&format!("surface of frame {}", subject.surfaces[i].0));
         report.geometry.extend(geometry(renderer.model(), subject, i)?);
     }
-    for novel in &subject.views {
-        progress(&novel.name);
-        report.novel_views.push(image_score(renderer, novel, out, &mut report.warnings)?);
-    }
-    for novel in &subject.poses {
-        progress(&novel.name);
-        report.novel_poses.push(image_score(renderer, novel, out, &mut report.warnings)?);
-    }
-    if let Some(scale) = report.scale() {
-        let folder = out.map(|out| out.join("scaled"));
+    let mut cards = Cards::default();
+    let mut warnings = Vec::new();
+    let mut compare = |set: Set, novels: &[Novel]| -> Result<Vec<ImageScore>, EvalError> {
+        let folder = options.out.map(|out| out.join(set.folder()));
         if let Some(folder) = &folder {
             std::fs::create_dir_all(folder)?;
         }
-        let mut ignored = Vec::new();
-        for (novels, scores) in
-            [(&subject.views, &mut report.scaled_novel_views), (&subject.poses, &mut report.scaled_novel_poses)]
-        {
-            for novel in novels {
-                progress(&format!("{}, scaled", novel.name));
-                scores.push(image_score(renderer, &in_our_units(novel, scale), folder.as_deref(), &mut ignored)?);
+        let mut scores = Vec::new();
+        for novel in novels {
+            progress(&format!("{} {}", set.name(), novel.name));
+            let mut spec = spec_of(renderer.model(), novel, &mut warnings);
+            if set == Set::Refined {
+                spec = refined(renderer, novel, spec)?;
             }
+            let shot = Shot::draw(renderer, novel, spec)?;
+            let score = shot.score();
+            if let Some(folder) = &folder {
+                let path = folder.join(format!("{}.png", novel.name));
+                let failed = |e: image::ImageError| EvalError::picture(novel, &e);
+                shot.side_by_side().save(&path).map_err(failed)?;
+                cards.add(set, &score, &shot);
+            }
+            scores.push(score);
         }
+        Ok(scores)
+    };
+    report.novel_views = compare(Set::Plain, &subject.views)?;
+    report.novel_poses = compare(Set::Plain, &subject.poses)?;
+    let scale = report.scale();
+    let scaled =
+        |novels: &[Novel]| -> Vec<Novel> { novels.iter().map(|n| in_our_units(n, scale.unwrap_or(1.0))).collect() };
+    if scale.is_some() {
+        report.scaled_novel_views = compare(Set::Scaled, &scaled(&subject.views))?;
+        report.scaled_novel_poses = compare(Set::Scaled, &scaled(&subject.poses))?;
     }
+    if options.refine {
+        report.refined_novel_poses = compare(Set::Refined, &scaled(&subject.poses))?;
+    }
+    // A picture that is compared in several ways warns once.
+    warnings.sort();
+    warnings.dedup();
+    report.warnings = warnings;
     progress("training masks");
     report.mask_iou = training_masks(renderer, subject)?;
     report.joints = joints(renderer.model(), &subject.joints);
     report.summarise();
+    if let Some(out) = options.out {
+        std::fs::write(out.join("eval.html"), page::html(&report, &cards))?;
+    }
     Ok(report)
 }
 
@@ -80,14 +121,9 @@ fn in_our_units(novel: &Novel, scale: f64) -> Novel {
     novel
 }
 
-fn image_score(
-    renderer: &Renderer,
-    novel: &Novel,
-    out: Option<&Path>,
-    warnings: &mut Vec<String>,
-) -> Result<ImageScore, EvalError> {
-    let model = renderer.model();
-    let mut spec = match &novel.pose {
+/// The avatar in the picture's pose: as fitted where it is a frame's, in which case the nearest kept frame may stand for it.
+fn spec_of(model: &AvatarModel, novel: &Novel, warnings: &mut Vec<String>) -> RenderSpec {
+    match &novel.pose {
         NovelPose::Frame(frame) => {
             let k = model.nearest_frame(*frame);
             if model.frames[k] != *frame {
@@ -98,35 +134,7 @@ fn image_score(
         NovelPose::Pose(pose, pelvis) => {
             RenderSpec { pose: **pose, place: Place::Pelvis(*pelvis), ..RenderSpec::of_frame(model, 0) }
         }
-    };
-    spec.camera = novel.camera.clone();
-    spec.background = Background::Colour([255; 3]);
-    spec.samples = SAMPLES;
-    let picture_error = |reason: String| EvalError::Picture { picture: novel.name.clone(), reason };
-    let ours = image::DynamicImage::ImageRgba8(renderer.render(&spec)?).into_rgb8();
-    let truth = novel.on_white()?;
-    if truth.dimensions() != ours.dimensions() || truth.width().min(truth.height()) < 11 {
-        let ((w, h), (want_w, want_h)) = (truth.dimensions(), ours.dimensions());
-        return Err(picture_error(format!("the picture is {w}×{h}, its camera {want_w}×{want_h}, at least 11 a side")));
     }
-    if let Some(out) = out {
-        let path = out.join(format!("{}.png", novel.name));
-        side_by_side(&truth, &ours).save(&path).map_err(|e| picture_error(e.to_string()))?;
-    }
-    Ok(ImageScore { name: novel.name.clone(), psnr_db: psnr(&truth, &ours), ssim: ssim(&truth, &ours) })
-}
-
-/// Truth, ours, and their absolute difference.
-fn side_by_side(truth: &RgbImage, ours: &RgbImage) -> RgbImage {
-    let (width, height) = truth.dimensions();
-    RgbImage::from_fn(3 * width, height, |x, y| {
-        let (a, b) = (truth.get_pixel(x % width, y), ours.get_pixel(x % width, y));
-        match x / width {
-            0 => *a,
-            1 => *b,
-            _ => Rgb(std::array::from_fn(|k| a.0[k].abs_diff(b.0[k]))),
-        }
-    })
 }
 
 fn training_masks(renderer: &Renderer, subject: &Subject) -> Result<Vec<FrameIou>, EvalError> {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use image::{GrayImage, RgbImage};
 
+use super::shot::composited;
 use crate::avatar::Pose;
 use crate::avatar::ply::{self, Mesh, PlyError};
 use crate::camera::Camera;
@@ -43,18 +44,20 @@ pub struct Novel {
 }
 
 impl Novel {
-    /// The truth on white: the picture where its mask covers.
-    pub fn on_white(&self) -> Result<RgbImage, SubjectError> {
+    /// The picture as it is, and its mask.
+    pub fn open(&self) -> Result<(RgbImage, GrayImage), SubjectError> {
         let open = |path: &Path| ::image::open(path).map_err(|e| file_error(path)(&e));
-        let (mut image, mask) = (open(&self.image)?.into_rgb8(), open(&self.mask)?.into_luma8());
+        let (image, mask) = (open(&self.image)?.into_rgb8(), open(&self.mask)?.into_luma8());
         if image.dimensions() != mask.dimensions() {
             return Err(file_error(&self.mask)(&"not the size of its picture"));
         }
-        for (pixel, cover) in image.pixels_mut().zip(mask.pixels()) {
-            let alpha = cover.0[0] as f32 / 255.0;
-            pixel.0 = pixel.0.map(|x| (alpha * x as f32 + (1.0 - alpha) * 255.0).round() as u8);
-        }
-        Ok(image)
+        Ok((image, mask))
+    }
+
+    /// The truth on white: the picture where its mask covers.
+    pub fn on_white(&self) -> Result<RgbImage, SubjectError> {
+        let (image, mask) = self.open()?;
+        Ok(composited(&image, &mask, [255; 3]))
     }
 }
 

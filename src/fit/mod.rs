@@ -12,6 +12,7 @@ mod losses;
 mod mesh_losses;
 mod motion;
 mod poses;
+mod refine;
 mod scene;
 mod schedule;
 mod shape;
@@ -26,6 +27,7 @@ use std::sync::Arc;
 
 pub use config::{FitConfig, Phase};
 pub use control::{Control, Flow, StepReport};
+pub use refine::refine_pose;
 pub use state::{FitState, Stage, Texels};
 
 use crate::body::Body;

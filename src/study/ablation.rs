@@ -93,8 +93,8 @@ impl Scores {
             mask_iou: get(summary.mask_iou, "masks")?,
             chamfer_cm: get(summary.chamfer_sum_cm, "surfaces")?,
             point_to_surface_cm: get(summary.point_to_surface_cm, "surfaces")?,
-            views_db: get(summary.scaled_novel_view_psnr_db, "views")?,
-            poses_db: get(summary.scaled_novel_pose_psnr_db, "poses")?,
+            views_db: get(summary.scaled_novel_views.as_ref().map(|m| m.psnr_db), "views")?,
+            poses_db: get(summary.scaled_novel_poses.as_ref().map(|m| m.psnr_db), "poses")?,
         })
     }
 

@@ -16,7 +16,7 @@ use crate::avatar::{AvatarModel, Background, RenderSpec, Renderer, Tracer, verte
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureInputs, CaptureOptions};
-use crate::eval::{Novel, Report, Subject, SynthOptions, evaluate};
+use crate::eval::{EvalOptions, Novel, Report, Subject, SynthOptions, evaluate};
 use crate::fit::config::{DIRECT_OFFSET_RATE, FrameSampling, Phase, Preconditioner};
 use crate::fit::stage0::{self, Stage0Options};
 use crate::fit::{self, Control, FitConfig, FitState, Flow, StepReport};
@@ -156,7 +156,7 @@ impl Person {
 
     /// Docs' metrics of an avatar against `truth`.
     pub fn evaluate(&self, avatar: AvatarModel, truth: &Subject) -> Result<Report> {
-        Ok(evaluate(&Renderer::new(&self.gpu, &Arc::new(avatar))?, truth, None, |_| {})?)
+        Ok(evaluate(&Renderer::new(&self.gpu, &Arc::new(avatar))?, truth, &EvalOptions::default(), |_| {})?)
     }
 
     /// A mesh of this body in grey under a raking light, `size_px` a side.

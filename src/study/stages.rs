@@ -90,7 +90,8 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
         let fitted = person.fit(&config, &start)?;
         let (scores, jagged, shown) = judge(&person, &fitted, &config, &truth, frame)?;
         let s = &scores.summary;
-        let numbers = [s.scaled_novel_view_psnr_db, s.chamfer_sum_cm, s.point_to_surface_cm, Some(jagged)];
+        let numbers =
+            [s.scaled_novel_views.as_ref().map(|m| m.psnr_db), s.chamfer_sum_cm, s.point_to_surface_cm, Some(jagged)];
         values.push(numbers.map(|v| v.unwrap_or(f64::NAN)));
         table.row_with_gaps(name, numbers.to_vec());
         pictures.push(shown);

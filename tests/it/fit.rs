@@ -297,6 +297,30 @@ fn a_texel_map_learns_the_clip_as_the_hash_texture_does() {
 }
 
 #[test]
+fn a_pose_is_refined_on_its_picture_while_the_avatar_stands() {
+    let Some(gpu) = gpu("a_pose_is_refined_on_its_picture_while_the_avatar_stands") else { return };
+    let start = Start::new(&gpu, 12);
+    let config = FitConfig::draft(0);
+    let fitted = start.fit(&gpu, &config, start.state.clone()).0.unwrap();
+    let mut alone =
+        FitState { poses: fitted.poses[..72].to_vec(), transl: fitted.transl[..3].to_vec(), ..fitted.clone() };
+    // The right elbow and the place are off, as a foreign body's would be.
+    alone.poses[3 * 19 + 1] += 0.25;
+    alone.transl[0] += 0.03;
+    let (picture, camera) = (start.capture.frames[0].clone(), &start.camera);
+    let refined = fit::refine_pose(&gpu, &start.body, camera, picture, alone.clone(), &config).unwrap();
+    let far = |state: &FitState| (state.transl[0] - fitted.transl[0]).abs();
+    assert!(far(&refined) < 0.4 * far(&alone), "{} of {} m are left", far(&refined), far(&alone));
+    let stood =
+        FitState { poses: alone.poses, transl: alone.transl, stage: refined.stage, step: refined.step, ..fitted };
+    assert_eq!(
+        FitState { poses: stood.poses.clone(), transl: stood.transl.clone(), ..refined },
+        stood,
+        "only poses move"
+    );
+}
+
+#[test]
 fn an_unknown_body_says_what_to_do() {
     let Some(gpu) = gpu("an_unknown_body_says_what_to_do") else { return };
     let folder = tempfile::tempdir().unwrap();

@@ -12,7 +12,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("fit", &["ops", "body", "gpu", "capture"]),
     ("avatar", &["ops", "body", "gpu"]),
     ("bench", &["fit", "avatar", "ops", "body", "gpu", "capture"]),
-    ("eval", &["avatar", "ops", "body", "gpu", "capture"]),
+    ("eval", &["fit", "avatar", "ops", "page", "body", "gpu", "capture"]),
     ("study", &["fit", "avatar", "eval", "ops", "body", "gpu", "capture"]),
     ("ops", &["gpu", "body"]),
     ("jobs", &[]),

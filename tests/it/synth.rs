@@ -6,7 +6,7 @@ use std::sync::Arc;
 use effigy::avatar::{AvatarModel, Renderer, ply};
 use effigy::body::Body;
 use effigy::camera::Camera;
-use effigy::eval::{Subject, SynthOptions, evaluate, synthesise};
+use effigy::eval::{EvalOptions, Subject, SynthOptions, evaluate, synthesise};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::npz::Npz;
 use effigy::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
@@ -71,22 +71,29 @@ fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
     let out = folder.path().join("pictures");
     std::fs::create_dir(&out).unwrap();
     let renderer = Renderer::new(&gpu, &Arc::new(truth.clone())).unwrap();
-    let report = evaluate(&renderer, &subject, Some(&out), |_| {}).unwrap();
+    let report = evaluate(&renderer, &subject, &EvalOptions { out: Some(&out), refine: false }, |_| {}).unwrap();
     let s = &report.summary;
     assert!(s.mask_iou.unwrap() > 0.995, "{s:?}");
     assert!(s.chamfer_cm.unwrap() < 1e-3 && s.unaligned_point_to_surface_cm.unwrap() < 1e-3, "{s:?}");
     assert!(s.joints_cm.unwrap() < 1e-3, "{s:?}");
     // The silhouettes agree; the avatar is grey where the truth has colours.
-    assert!(s.novel_view_psnr_db.unwrap() > 14.0 && s.novel_pose_psnr_db.unwrap() > 14.0, "{s:?}");
+    for means in [&s.novel_views, &s.novel_poses].map(|m| m.as_ref().unwrap()) {
+        assert!(means.psnr_db > 14.0 && means.psnr_foreground_db.unwrap() < means.psnr_db, "{s:?}");
+        assert!(means.flip > 0.0 && means.flip_foreground.unwrap() > 2.0 * means.flip, "{s:?}");
+    }
+    let page = std::fs::read_to_string(out.join("eval.html")).unwrap();
+    assert_eq!(page.matches("<img").count(), 8, "four pictures, as given and in our scale");
+    assert!(page.contains("view_01: PSNR") && page.contains("pose_00: PSNR"));
     assert!(report.warnings.is_empty());
     for folder in [out.clone(), out.join("scaled")] {
-        let pictures = std::fs::read_dir(folder).unwrap().filter(|f| f.as_ref().unwrap().path().is_file()).count();
-        assert_eq!(pictures, 4);
+        let files = std::fs::read_dir(folder).unwrap().map(|f| f.unwrap().path());
+        assert_eq!(files.filter(|path| path.extension().is_some_and(|e| e == "png")).count(), 4);
     }
 
     let mut moved = truth;
     moved.transl.iter_mut().for_each(|t| t[0] += 0.03);
-    let report = evaluate(&Renderer::new(&gpu, &Arc::new(moved)).unwrap(), &subject, None, |_| {}).unwrap();
+    let report =
+        evaluate(&Renderer::new(&gpu, &Arc::new(moved)).unwrap(), &subject, &EvalOptions::default(), |_| {}).unwrap();
     let s = &report.summary;
     assert!((s.joints_cm.unwrap() - 3.0).abs() < 1e-3 && s.joints_root_aligned_cm.unwrap() < 1e-3, "{s:?}");
     assert!(s.unaligned_chamfer_cm.unwrap() > 1.0 && s.chamfer_cm.unwrap() < 0.02, "{s:?}");
