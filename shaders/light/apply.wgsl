@@ -1,18 +1,16 @@
-// shaded = values · shade(normals), or added to it; see src/ops/light/mod.rs.
+// shaded = values · (ambient + strength · lamp), or added to it; see src/ops/light/mod.rs.
 #import shared/linear_index
 
 struct Params {
     ambient: vec3<f32>,
     n_max: u32,
     strength: vec3<f32>,
-    wrap: f32,
-    direction: vec3<f32>,
     add: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> count: array<u32>;
-@group(0) @binding(2) var<storage, read> normals: array<f32>;
+@group(0) @binding(2) var<storage, read> lamps: array<f32>;
 @group(0) @binding(3) var<storage, read> values: array<f32>;
 @group(0) @binding(4) var<storage, read_write> shaded: array<f32>;
 
@@ -23,14 +21,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         return;
     }
     let at = 3u * i;
-    let n = vec3(normals[at], normals[at + 1u], normals[at + 2u]);
-    let length_n = length(n);
-    var cosine = -1.0;
-    if length_n > 0.0 {
-        cosine = dot(n, params.direction) / length_n;
-    }
-    let lamp = max((cosine + params.wrap) / (1.0 + params.wrap), 0.0);
-    var result = vec3(values[at], values[at + 1u], values[at + 2u]) * (params.ambient + params.strength * lamp);
+    let shade = params.ambient + params.strength * lamps[i];
+    var result = vec3(values[at], values[at + 1u], values[at + 2u]) * shade;
     if params.add != 0u {
         result += vec3(shaded[at], shaded[at + 1u], shaded[at + 2u]);
     }

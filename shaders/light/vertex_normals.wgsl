@@ -1,5 +1,6 @@
-// vertex_normals = Σ face_normals over the corners at a vertex; one invocation a vertex.
+// vertex_normals = Σ face_normals over the corners at a vertex, made unit; one invocation a vertex.
 #import shared/linear_index
+#import shared/unit_or_zero
 
 struct Params {
     n_vertices: u32,
@@ -22,6 +23,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let face = 3u * (corners[at] / 3u);
         sum += vec3(face_normals[face], face_normals[face + 1u], face_normals[face + 2u]);
     }
+    sum = unit_or_zero(sum);
     vertex_normals[3u * v] = sum.x;
     vertex_normals[3u * v + 1u] = sum.y;
     vertex_normals[3u * v + 2u] = sum.z;

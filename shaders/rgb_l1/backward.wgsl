@@ -1,6 +1,7 @@
 // One pixel an invocation: grad_image += lambda weight sign(image - target).
 #import shared/linear_index
 #import shared/rgb_difference
+#import shared/rgb_weight
 
 @group(0) @binding(0) var<uniform> params: RgbParams;
 @group(0) @binding(1) var<storage, read> image: array<f32>;

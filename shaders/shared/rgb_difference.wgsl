@@ -1,7 +1,5 @@
-// The colour loss at a pixel. The importing file binds `params: RgbParams`, `image`, `seen: array<u32>` and `weights`.
+// The colour loss at a pixel. The importing file binds `params: RgbParams`, `image` and `seen: array<u32>`.
 #import shared/target_pixel
-
-#const WEIGHTED: bool = false
 
 struct RgbParams {
     n_pixels: u32,
@@ -18,11 +16,4 @@ struct RgbParams {
 fn difference_at(i: u32) -> vec3<f32> {
     let wanted = target_rgb(params.offset + i, vec3<f32>(params.red, params.green, params.blue), params.composite);
     return vec3<f32>(image[3u * i], image[3u * i + 1u], image[3u * i + 2u]) - wanted;
-}
-
-fn weight_at(i: u32) -> f32 {
-    if WEIGHTED {
-        return weights[i];
-    }
-    return 1.0;
 }

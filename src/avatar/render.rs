@@ -1,4 +1,5 @@
-//! Pictures of the avatar in any pose, from any camera, at any size; shaded from the hash texture for every sample.
+//! Pictures of the avatar in any pose, from any camera, at any size; shaded from the hash texture, once for each surface that
+//! a pixel shows.
 
 use std::sync::Arc;
 
@@ -7,7 +8,7 @@ use image::{GrayImage, RgbaImage};
 use super::AvatarModel;
 use super::pose::{Pose, vertex_normals};
 use super::texture::SurfaceTexture;
-use super::trace::{MAX_SIDE_PX, Picture, SurfacePoint, Tracer};
+use super::trace::{MAX_SIDE_PX, Picture, Shading, SurfacePoint, Tracer};
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
 use crate::ops::skinning::cpu::{Posed, forward};
@@ -52,7 +53,7 @@ pub struct RenderSpec {
     pub camera: Camera,
     pub background: Background,
     pub light: Light,
-    /// Samples along a pixel's side, 1 to 8: coverage and texture are means over their square.
+    /// Samples along a pixel's side, 1 to 8: coverage is their mean, and each surface counts by its samples.
     pub samples: u32,
 }
 
@@ -211,7 +212,9 @@ impl Renderer {
             }
         };
         let posed = forward(&model.body, betas, Some(&model.offsets), &spec.pose, transl);
-        Ok(self.tracer.trace(&posed.vertices, &spec.camera, spec.samples, |points| colour(points, &posed))?)
+        Ok(self
+            .tracer
+            .trace(&posed.vertices, &spec.camera, spec.samples, Shading::Surfaces, |points| colour(points, &posed))?)
     }
 
     /// Puts the captured light on albedos, by the smooth normals `[V]` of the posed body.

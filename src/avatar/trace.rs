@@ -9,15 +9,18 @@ use image::{GrayImage, Luma, Rgba, RgbaImage};
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
 use crate::ops::Corners;
+use crate::ops::hard_rasterize::cpu::bary_at;
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
 use crate::ops::topology::Topology;
 
 /// The longest side of a picture.
 pub const MAX_SIDE_PX: u32 = 8192;
 
-/// Samples along a side of a tile. A face's loop over a tile stays below the 65,535 rounds after which llvmpipe ends
-/// any loop.
-const TILE: u32 = 240;
+/// Samples of a tile, at most.
+const TILE: u32 = 1 << 20;
+
+/// The samples that one face's box may have in a tile: llvmpipe ends any loop after 65,535 rounds, and a face's is one.
+const MAX_BOX: u32 = 57_600;
 
 /// Metres; what is nearer to the camera is not drawn.
 const NEAR: f64 = 0.05;
@@ -29,11 +32,36 @@ pub struct SurfacePoint {
     pub bary: [f32; 3],
 }
 
+/// How often the colour is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shading {
+    /// At each sample: for colours that change within a pixel.
+    Samples,
+    /// Once for each surface that a pixel shows: for textures no finer than the picture. Faces that touch are one surface,
+    /// which is asked in the middle of the samples of the face that has the most of them.
+    Surfaces,
+}
+
 /// A mesh's rasteriser on the device.
 pub struct Tracer {
     gpu: Arc<Gpu>,
     rasterizer: HardRasterizer,
+    faces: Vec<[u32; 3]>,
     view: crate::gpu::Buffer<f32>,
+}
+
+/// What a picture is asked a colour for: the pixel that shows a point, and the samples that the point stands for.
+struct Seen {
+    pixel: usize,
+    samples: f32,
+}
+
+/// The samples of a face in a pixel: how many, and the sum of their places in the tile.
+#[derive(Clone, Copy)]
+struct Part {
+    face: u32,
+    samples: f32,
+    place: [f32; 2],
 }
 
 /// A picture in the making: sums over the samples that hit.
@@ -89,7 +117,8 @@ impl Tracer {
         let corners = Arc::new(Corners::new(gpu, faces, &Topology::new(n_vertices, faces)));
         let config = HardRasterizeConfig { near: NEAR, cull_back: false };
         Self {
-            rasterizer: HardRasterizer::new(gpu, &corners, (TILE * TILE) as usize, config),
+            rasterizer: HardRasterizer::new(gpu, &corners, TILE as usize, config),
+            faces: faces.to_vec(),
             view: gpu.zeros("trace/view", 3 * n_vertices),
             gpu: gpu.clone(),
         }
@@ -102,6 +131,7 @@ impl Tracer {
         vertices: &[[f32; 3]],
         camera: &Camera,
         samples: u32,
+        shading: Shading,
         mut colour: impl FnMut(&[SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError>,
     ) -> Result<Picture, GpuError> {
         let view = view_space(vertices, camera);
@@ -111,20 +141,26 @@ impl Tracer {
         let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy];
         let pinhole = Camera::pinhole(camera.width, camera.height, [fx, fy, cx, cy]);
         let whole = pinhole.scaled(camera.width * samples, camera.height * samples);
-        let Some([x0, y0, x1, y1]) = bounds(&view, &whole) else { return Ok(picture) };
-        let (mut pixels, mut points) = (Vec::new(), Vec::new());
-        for y in (y0..y1).step_by(TILE as usize) {
-            for x in (x0..x1).step_by(TILE as usize) {
-                let (width, height) = (TILE.min(x1 - x), TILE.min(y1 - y));
-                self.hits(&whole.cropped(x as i32, y as i32, width, height), &mut |at, point| {
-                    let (px, py) = (x + at % width, y + at / width);
-                    pixels.push((py / samples * camera.width + px / samples) as usize);
+        let points = screen(&view, &whole);
+        let Some([x0, y0, x1, y1]) = bounds(&points, &whole) else { return Ok(picture) };
+        // Tiles are whole pixels.
+        let [x0, y0] = [x0, y0].map(|from| from / samples * samples);
+        let [x1, y1] = [x1, y1].map(|to| to.next_multiple_of(samples));
+        let [width, height] = self.tile([x1 - x0, y1 - y0], largest_box(&points, &self.faces, &whole), samples);
+        let (mut seen, mut points) = (Vec::new(), Vec::new());
+        for y in (y0..y1).step_by(height as usize) {
+            for x in (x0..x1).step_by(width as usize) {
+                let tile = whole.cropped(x as i32, y as i32, width.min(x1 - x), height.min(y1 - y));
+                let first = (y / samples * camera.width + x / samples) as usize;
+                self.points(&tile, &view, samples, shading, |at, n, point| {
+                    let (column, row) = (at % tile.width as usize, at / tile.width as usize);
+                    seen.push(Seen { pixel: first + row * camera.width as usize + column, samples: n });
                     points.push(point);
                 })?;
-                for (pixel, rgb) in pixels.drain(..).zip(colour(&points)?) {
+                for (Seen { pixel, samples }, rgb) in seen.drain(..).zip(colour(&points)?) {
                     let sum = &mut picture.sums[pixel];
-                    (0..3).for_each(|k| sum[k] += rgb[k]);
-                    sum[3] += 1.0;
+                    (0..3).for_each(|k| sum[k] += samples * rgb[k]);
+                    sum[3] += samples;
                 }
                 points.clear();
             }
@@ -132,16 +168,73 @@ impl Tracer {
         Ok(picture)
     }
 
-    /// The samples of a tile that hit the mesh, in order: index in the tile and surface point.
-    fn hits(&self, tile: &Camera, each: &mut dyn FnMut(u32, SurfacePoint)) -> Result<(), GpuError> {
+    /// Width and height of the tiles of a region, in samples: as few as the buffers hold, or, where a face is large, so
+    /// small that its box fits.
+    fn tile(&self, [width, height]: [u32; 2], largest_box: f64, samples: u32) -> [u32; 2] {
+        let capacity = if largest_box > f64::from(MAX_BOX) { MAX_BOX } else { TILE };
+        if width.saturating_mul(height) <= capacity {
+            return [width, height];
+        }
+        let side = |length: u32| (length / samples).max(1) * samples;
+        let width = side(width.min(capacity.isqrt() * 2));
+        [width, side((capacity / width).min(height))]
+    }
+
+    /// The points that a tile shows, pixel by pixel: `each` gets the place `row · tile width + column` of the pixel in the tile,
+    /// how many samples the point stands for, and the point.
+    fn points(
+        &self,
+        tile: &Camera,
+        view: &[[f32; 3]],
+        samples: u32,
+        shading: Shading,
+        mut each: impl FnMut(usize, f32, SurfacePoint),
+    ) -> Result<(), GpuError> {
         let mut recorder = self.gpu.recorder("trace/tile");
-        self.rasterizer.forward(&mut recorder, tile, &self.view);
+        self.rasterizer.forward_faces(&mut recorder, tile, &self.view);
         recorder.submit()?;
-        let faces = self.gpu.read(&self.rasterizer.pix_to_face)?;
-        let bary = self.gpu.read(&self.rasterizer.bary_coords)?;
-        for (at, (&face, &bary)) in faces.iter().zip(bary.as_chunks().0).enumerate().take(tile.n_pixels()) {
-            if let Ok(face) = u32::try_from(face) {
-                each(at as u32, SurfacePoint { face, bary });
+        let pix_to_face = self.gpu.read_front(&self.rasterizer.pix_to_face, tile.n_pixels())?;
+        let (width, samples) = (tile.width as usize, samples as usize);
+        let mut parts: Vec<Part> = Vec::with_capacity(samples * samples);
+        for y in (0..tile.height as usize).step_by(samples) {
+            for x in (0..width).step_by(samples) {
+                for row in y..y + samples {
+                    for column in x..x + samples {
+                        let Ok(face) = u32::try_from(pix_to_face[row * width + column]) else { continue };
+                        let place = [column as f32 + 0.5, row as f32 + 0.5];
+                        match parts.iter_mut().find(|p| shading == Shading::Surfaces && p.face == face) {
+                            Some(part) => {
+                                part.samples += 1.0;
+                                (0..2).for_each(|k| part.place[k] += place[k]);
+                            }
+                            None => parts.push(Part { face, samples: 1.0, place }),
+                        }
+                    }
+                }
+                if shading == Shading::Surfaces && parts.len() > 1 {
+                    parts.sort_by(|a, b| b.samples.total_cmp(&a.samples));
+                }
+                let mut left = &mut parts[..];
+                while let Some((part, rest)) = left.split_first_mut() {
+                    let corners = self.faces[part.face as usize];
+                    let triangle = corners.map(|v| view[v as usize]);
+                    let middle = part.place.map(|x| f64::from(x / part.samples));
+                    let point = SurfacePoint { face: part.face, bary: bary_at(tile, &triangle, middle) };
+                    let mut stands_for = part.samples;
+                    let mut n_left = 0;
+                    for k in 0..rest.len() {
+                        let touches = self.faces[rest[k].face as usize].iter().any(|v| corners.contains(v));
+                        if shading == Shading::Surfaces && touches {
+                            stands_for += rest[k].samples;
+                        } else {
+                            rest[n_left] = rest[k];
+                            n_left += 1;
+                        }
+                    }
+                    each(y / samples * width + x / samples, stands_for, point);
+                    left = &mut rest[..n_left];
+                }
+                parts.clear();
             }
         }
         Ok(())
@@ -181,18 +274,44 @@ fn field_limit(k1: f64, k2: f64, k3: f64) -> f64 {
     steps.take_while(|&r2| slope(r2) > 0.0).last().unwrap_or(0.0)
 }
 
-/// The samples that the mesh can reach: x0 y0 x1 y1, or `None`.
-fn bounds(view: &[[f32; 3]], camera: &Camera) -> Option<[u32; 4]> {
+/// Where the vertices are on the image; `None` behind the near plane.
+fn screen(view: &[[f32; 3]], camera: &Camera) -> Vec<Option<[f64; 2]>> {
+    let point = |v: &[f32; 3]| {
+        let [x, y, z] = v.map(f64::from);
+        (z > NEAR).then(|| [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+    };
+    view.iter().map(point).collect()
+}
+
+/// Low and high corner of some points, within the image.
+fn extent(points: impl Iterator<Item = [f64; 2]>, camera: &Camera) -> [[f64; 2]; 2] {
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-    for v in view.iter().filter(|v| v[2] as f64 > NEAR) {
-        let z = v[2] as f64;
-        let p = [camera.fx * v[0] as f64 / z + camera.cx, camera.fy * v[1] as f64 / z + camera.cy];
+    for p in points {
         (0..2).for_each(|k| (low[k], high[k]) = (low[k].min(p[k]), high[k].max(p[k])));
     }
-    let clamp = |x: f64, size: u32| x.clamp(0.0, size as f64) as u32;
-    let [x0, y0] = [clamp(low[0].floor(), camera.width), clamp(low[1].floor(), camera.height)];
-    let [x1, y1] = [clamp(high[0].ceil(), camera.width), clamp(high[1].ceil(), camera.height)];
-    (x0 < x1 && y0 < y1).then_some([x0, y0, x1, y1])
+    let size = [camera.width, camera.height].map(f64::from);
+    let inside = |p: [f64; 2]| [0, 1].map(|k| p[k].clamp(0.0, size[k]));
+    [inside(low.map(f64::floor)), inside(high.map(f64::ceil))]
+}
+
+/// The samples that the mesh can reach: x0 y0 x1 y1, or `None`.
+fn bounds(points: &[Option<[f64; 2]>], camera: &Camera) -> Option<[u32; 4]> {
+    let [[x0, y0], [x1, y1]] = extent(points.iter().copied().flatten(), camera);
+    (x0 < x1 && y0 < y1).then_some([x0, y0, x1, y1].map(|x| x as u32))
+}
+
+/// The samples of the largest box round a face; that of a face that reaches behind the near plane may be the whole image.
+fn largest_box(points: &[Option<[f64; 2]>], faces: &[[u32; 3]], camera: &Camera) -> f64 {
+    let area = |face: &[u32; 3]| {
+        let [a, b, c] = face.map(|v| points[v as usize]);
+        let (Some(a), Some(b), Some(c)) = (a, b, c) else {
+            let seen = a.or(b).or(c).is_some();
+            return if seen { camera.n_pixels() as f64 } else { 0.0 };
+        };
+        let [[x0, y0], [x1, y1]] = extent([a, b, c].into_iter(), camera);
+        (x1 - x0 + 1.0) * (y1 - y0 + 1.0)
+    };
+    faces.iter().map(area).fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -211,7 +330,8 @@ mod tests {
         let (vertices, faces) = square(2.0);
         let tracer = Tracer::new(&gpu, &faces, 4);
         // 64 px, focal length 89.6: the edges lie at 32 ± 22.4 px.
-        let picture = tracer.trace(&vertices, &camera(64), 5, |p| Ok(vec![[1.0, 0.5, 0.0]; p.len()])).unwrap();
+        let picture =
+            tracer.trace(&vertices, &camera(64), 5, Shading::Samples, |p| Ok(vec![[1.0, 0.5, 0.0]; p.len()])).unwrap();
         let coverage = picture.coverage();
         assert_eq!((coverage.get_pixel(32, 32).0[0], coverage.get_pixel(2, 32).0[0]), (255, 0));
         assert_eq!(coverage.get_pixel(9, 32).0[0], 102, "2 of 5 columns");
@@ -226,17 +346,54 @@ mod tests {
         let Some(gpu) = gpu("trace::tiles_meet_without_a_seam") else { return };
         let (vertices, faces) = square(1.0);
         let tracer = Tracer::new(&gpu, &faces, 4);
-        // The square is larger than the picture, which takes 2×2 tiles.
-        let whole = camera(TILE / 2 + 40);
+        // The square's faces are larger than the picture and than what a loop may do: tiles of up to 480 × 120 samples.
+        let whole = camera(280);
         let (mut seen, mut calls) = (0, 0);
         let picture = tracer
-            .trace(&vertices, &whole, 2, |points| {
+            .trace(&vertices, &whole, 2, Shading::Samples, |points| {
                 (seen, calls) = (seen + points.len(), calls + 1);
                 Ok(vec![[1.0; 3]; points.len()])
             })
             .unwrap();
-        assert_eq!((calls, seen), (4, 4 * (whole.width * whole.height) as usize));
+        assert_eq!((calls, seen), (2 * 5, 4 * (whole.width * whole.height) as usize));
         assert!(picture.coverage().pixels().all(|p| p.0[0] == 255));
+    }
+
+    #[test]
+    fn a_pixel_asks_each_surface_once_and_weighs_it_by_its_samples() {
+        let Some(gpu) = gpu("trace::a_pixel_asks_each_surface_once_and_weighs_it_by_its_samples") else { return };
+        // A square of two faces, and behind it, a little aside, another one, which touches nothing of the first.
+        let (mut vertices, mut faces) = square(2.0);
+        let (behind, more) = square(3.0);
+        vertices.extend(behind.iter().map(|[x, y, z]| [x + 0.53, *y, *z]));
+        faces.extend(more.iter().map(|f| f.map(|v| v + 4)));
+        let tracer = Tracer::new(&gpu, &faces, vertices.len());
+        let by_square = |points: &[SurfacePoint]| Ok(points.iter().map(|p| [(p.face / 2) as f32, 0.5, 0.0]).collect());
+        let mut asked = [0; 2];
+        let [samples, once] = [Shading::Samples, Shading::Surfaces].map(|shading| {
+            let picture = tracer.trace(&vertices, &camera(64), 4, shading, |points| {
+                asked[usize::from(shading == Shading::Surfaces)] += points.len();
+                by_square(points)
+            });
+            picture.unwrap().transparent()
+        });
+        assert_eq!(samples, once, "colours that are even on a surface");
+        let covered = samples.pixels().filter(|p| p.0[3] > 0).count();
+        let shared = samples.pixels().filter(|p| ![0, 255].contains(&p.0[0])).count();
+        assert!(shared > 20, "{shared} pixels show both squares");
+        assert_eq!(asked[1], covered + shared);
+        assert!(asked[0] > 10 * covered, "{asked:?} of {covered}");
+        // In a pixel within one face the middle of the samples is the pixel's own middle.
+        let mut middle = None;
+        let spot = camera(64).cropped(20, 40, 1, 1);
+        let note = |points: &[SurfacePoint]| {
+            middle = Some(points[0]);
+            by_square(points)
+        };
+        tracer.trace(&vertices, &spot, 4, Shading::Surfaces, note).unwrap();
+        let SurfacePoint { face, bary } = middle.unwrap();
+        let x: f32 = (0..3).map(|k| bary[k] * vertices[faces[face as usize][k] as usize][0]).sum();
+        assert!((x - 2.0 * (20.5 - 32.0) / 89.6).abs() < 1e-4, "{x}");
     }
 
     #[test]
@@ -259,7 +416,8 @@ mod tests {
         let tracer = Tracer::new(&gpu, &model.body.faces, model.body.n_vertices());
         for transl in [[0.0, 0.0, -3.0], [50.0, 0.0, 3.0]] {
             let vertices = model.posed(&model.poses[0], transl).vertices;
-            let picture = tracer.trace(&vertices, &camera(32), 1, |p| Ok(vec![[1.0; 3]; p.len()])).unwrap();
+            let picture =
+                tracer.trace(&vertices, &camera(32), 1, Shading::Surfaces, |p| Ok(vec![[1.0; 3]; p.len()])).unwrap();
             assert!(picture.coverage().pixels().all(|p| p.0[0] == 0), "at {transl:?}");
         }
     }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::Case;
 use super::person::{Person, extent};
 use super::scale::{Counts, Scale, count_fragments};
+use crate::avatar::RenderError;
 use crate::body::{Body, N_JOINTS};
 use crate::camera::Camera;
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
@@ -200,6 +201,8 @@ pub enum FrameError {
     Gpu(#[from] GpuError),
     #[error(transparent)]
     Texture(#[from] TextureFieldError),
+    #[error(transparent)]
+    Render(#[from] RenderError),
 }
 
 fn case<'a>(name: &'static str, needs: Counts, record: impl Fn(&mut Recorder<'_>) + 'a) -> Case<'a> {
@@ -229,7 +232,7 @@ fn scale(body: &Body, n_pixels: usize, texture: &TextureFieldConfig) -> Scale {
 }
 
 /// The template scaled into the unit cube.
-fn unit_box(body: &Body) -> Vec<f32> {
+pub(super) fn unit_box(body: &Body) -> Vec<f32> {
     let bounds = [0, 1, 2].map(|axis| extent(&body.v_template, axis));
     let side = bounds.iter().map(|[low, high]| high - low).fold(0.0, f32::max);
     body.v_template.iter().flat_map(|v| [0, 1, 2].map(|axis| (v[axis] - bounds[axis][0]) / side)).collect()

@@ -1,15 +1,17 @@
-//! What `effigy bench` and `benches/` time: operators on one frame, the device's own limits, and what the work needs at
-//! least.
+//! What `effigy bench` and `benches/` time: operators on one frame, steps, pictures, the device's own limits, and what the
+//! work needs at least.
 
 mod ceilings;
 mod frame;
 mod person;
+mod picture;
 mod scale;
 mod step;
 mod timing;
 
 pub use ceilings::{Ceilings, Peaks};
 pub use frame::Frame;
+pub use picture::{PictureBench, PictureTimes};
 pub use scale::{Counts, Scale};
 pub use step::{StepBench, StepTimes};
 pub use timing::{Times, cores, interleaved, timed};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::person::Person;
-use super::timing::{Times, timed};
+use super::timing::{Times, profiled, timed};
 use crate::body::Body;
 use crate::capture::{Capture, Frame};
 use crate::fit::{FitConfig, FitError, FitState, Phase, Stage, with_step};
@@ -83,22 +83,11 @@ impl StepBench {
     /// Times of one step on all frames: `repeats` steps after one that compiles, then a few that are profiled.
     pub fn run(&self, stage: Stage, repeats: u32) -> Result<StepTimes, FitError> {
         let gpu = &self.gpu;
-        let profiled = repeats.div_ceil(4);
-        let (pairs, mut kernels) = self.with(stage, |step| {
+        let (pairs, kernels) = self.with(stage, |step| {
             step()?;
             let pairs = (0..repeats).map(|_| timed(&mut *step)).collect::<Result<Vec<_>, _>>()?;
-            gpu.take_timings();
-            gpu.set_profiling(true);
-            let result = (0..profiled).try_for_each(|_| step());
-            gpu.set_profiling(false);
-            result?;
-            Ok((pairs, gpu.take_timings()))
+            Ok((pairs, profiled(gpu, repeats.div_ceil(4), step)?))
         })?;
-        for time in kernels.values_mut() {
-            time.calls /= u64::from(profiled);
-            time.secs /= f64::from(profiled);
-            time.cpu_secs /= f64::from(profiled);
-        }
         Ok(StepTimes {
             stage: if stage == Stage::Geometry { 1 } else { 2 },
             frames: self.capture.frames.len(),

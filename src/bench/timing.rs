@@ -1,9 +1,10 @@
 //! Wall times on a machine that others may use too.
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use super::Case;
-use crate::gpu::{Gpu, GpuError, cpu_secs};
+use crate::gpu::{Gpu, GpuError, KernelTime, cpu_secs};
 
 /// Times of one thing, milliseconds.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
@@ -45,6 +46,26 @@ pub fn timed<E>(work: impl FnOnce() -> Result<(), E>) -> Result<[f64; 2], E> {
     let (start, cpu_start) = (Instant::now(), cpu_secs());
     work()?;
     Ok([1e3 * start.elapsed().as_secs_f64(), 1e3 * (cpu_secs() - cpu_start)])
+}
+
+/// The kernels of some work, each dispatch submitted and awaited alone: sums over one call, as the mean of `repeats`.
+pub(super) fn profiled<E>(
+    gpu: &Gpu,
+    repeats: u32,
+    mut work: impl FnMut() -> Result<(), E>,
+) -> Result<BTreeMap<String, KernelTime>, E> {
+    gpu.take_timings();
+    gpu.set_profiling(true);
+    let result = (0..repeats).try_for_each(|_| work());
+    gpu.set_profiling(false);
+    result?;
+    let mut kernels = gpu.take_timings();
+    for time in kernels.values_mut() {
+        time.calls /= u64::from(repeats);
+        time.secs /= f64::from(repeats);
+        time.cpu_secs /= f64::from(repeats);
+    }
+    Ok(kernels)
 }
 
 /// Times of submissions that are awaited: one call of each case that compiles and warms up, then `repeats` rounds over

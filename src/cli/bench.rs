@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, Result};
-use effigy::bench::{Ceilings, Counts, Frame, Peaks, Scale, StepBench, StepTimes, Times, cores, interleaved};
+use effigy::bench::{
+    Ceilings, Counts, Frame, Peaks, PictureBench, PictureTimes, Scale, StepBench, StepTimes, Times, cores, interleaved,
+};
 use effigy::body::Body;
 use effigy::data_dir::body_path;
 use effigy::fit::Stage;
-use effigy::gpu::{DeviceInfo, DeviceSelect, Gpu};
+use effigy::gpu::{DeviceInfo, DeviceSelect, Gpu, KernelTime};
 
 #[derive(clap::Args)]
 pub struct Args {
@@ -56,6 +58,8 @@ struct Scene {
     scale: Scale,
     ops: Vec<Line>,
     steps: Vec<StepTimes>,
+    /// A picture of an avatar, 3×3 samples a pixel.
+    picture: Option<PictureTimes>,
 }
 
 #[derive(serde::Serialize)]
@@ -96,7 +100,7 @@ pub fn run(args: Args) -> Result<()> {
             Line { op: case.name, times, alone_ms, needs: case.needs, floor_ms, ratio: alone_ms / floor_ms }
         };
         let ops = cases.iter().zip(times).map(line).collect();
-        let mut scene = Scene { size_px, scale: frame.scale(), ops, steps: Vec::new() };
+        let mut scene = Scene { size_px, scale: frame.scale(), ops, steps: Vec::new(), picture: None };
         if !args.json {
             print_scene(&scene);
         }
@@ -111,6 +115,13 @@ pub fn run(args: Args) -> Result<()> {
                 }
                 scene.steps.push(step);
             }
+        }
+        if args.filter.as_ref().is_none_or(|text| "picture".contains(text.as_str())) {
+            let picture = PictureBench::new(&gpu, &body, size_px)?.run(args.repeats)?;
+            if !args.json {
+                print_picture(&gpu, &picture, args.kernels);
+            }
+            scene.picture = Some(picture);
         }
         report.scenes.push(scene);
     }
@@ -174,6 +185,16 @@ fn print_step(gpu: &Gpu, step: &StepTimes, by_kernel: bool) {
         times.median_ms,
         1e-6 * *peak_device_bytes as f64
     );
+    print_kernels(gpu, kernels, by_kernel);
+}
+
+fn print_picture(gpu: &Gpu, picture: &PictureTimes, by_kernel: bool) {
+    let PictureTimes { times: Times { best_ms, median_ms, cpu_ms }, kernels } = picture;
+    println!("\na picture, 3×3 samples a pixel: best {best_ms:.1} ms, median {median_ms:.1}; {cpu_ms:.1} of CPU time");
+    print_kernels(gpu, kernels, by_kernel);
+}
+
+fn print_kernels(gpu: &Gpu, kernels: &BTreeMap<String, KernelTime>, by_kernel: bool) {
     let mut parts = BTreeMap::<&str, (u64, f64)>::new();
     for (kernel, time) in kernels {
         let name = if by_kernel { kernel } else { kernel.split('/').next().unwrap_or(kernel) };

@@ -14,7 +14,7 @@ pub struct FrameStep<'a> {
     pub level: &'a FrameLevel,
     pub phase: &'a Phase,
     pub weights: &'a Weights,
-    /// One over the frames of the step.
+    /// One over the frames of the step, times what the frame counts.
     pub part: f32,
     /// Of the step, over the whole stage.
     pub number: u32,
@@ -27,6 +27,6 @@ impl FrameStep<'_> {
 
     /// A weight on a sum over pixels, as one on their mean over the foreground.
     pub fn per_pixel(&self, weight: f32) -> f32 {
-        self.part * weight / self.level.n_foreground.max(1) as f32
+        self.part * weight / self.level.inside.len().max(1) as f32
     }
 }

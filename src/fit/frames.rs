@@ -3,7 +3,7 @@
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::gpu::{Buffer, Gpu};
-use crate::ops::{Target, pack_pixel};
+use crate::ops::{PixelList, Target, pack_pixel};
 
 /// One resolution of one frame's crop.
 pub struct FrameLevel {
@@ -13,10 +13,8 @@ pub struct FrameLevel {
     pub camera: Camera,
     /// `[height, width]`, see [`pack_pixel`].
     pub target: Buffer<u32>,
-    /// `[height, width]`: 1 inside the mask, else 0.
-    pub inside: Buffer<f32>,
     /// Pixels inside the mask.
-    pub n_foreground: usize,
+    pub inside: PixelList,
 }
 
 impl FrameLevel {
@@ -95,14 +93,12 @@ impl Packed {
             ..camera.clone()
         };
         let packed: Vec<u32> = self.rgbm.iter().map(|&[r, g, b, mask]| pack_pixel([r, g, b], mask)).collect();
-        let inside: Vec<f32> = self.rgbm.iter().map(|p| if p[3] >= 128 { 1.0 } else { 0.0 }).collect();
         FrameLevel {
             width: self.width as u32,
             height: self.height as u32,
             camera,
             target: gpu.upload(label, &packed),
-            inside: gpu.upload(label, &inside),
-            n_foreground: self.rgbm.iter().filter(|p| p[3] >= 128).count(),
+            inside: PixelList::new(gpu, label, self.rgbm.iter().map(|p| p[3] >= 128)),
         }
     }
 }

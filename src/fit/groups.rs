@@ -2,7 +2,9 @@
 
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::adam::{Adam, AdamConfig, UniformAdam};
+use crate::ops::add::Add;
 use crate::ops::large_steps::LargeSteps;
+use crate::ops::tridiagonal::Tridiagonal;
 
 /// A group that moves as a whole, or frame by frame.
 pub struct Group {
@@ -83,7 +85,7 @@ impl VertexGroup {
     }
 
     /// As [`VertexGroup::step`], in the coordinates of `smooth`.
-    pub fn step_in(&mut self, recorder: &mut Recorder<'_>, smooth: &SmoothCoordinates, rate: f32) {
+    pub fn step_in(&mut self, recorder: &mut Recorder<'_>, smooth: &SmoothCoordinates<LargeSteps>, rate: f32) {
         self.steps += 1;
         let (adam, number) = (&self.adam, self.steps);
         smooth.step(recorder, &self.values, &self.grads, |recorder, u, grad_u| {
@@ -96,21 +98,40 @@ impl VertexGroup {
     }
 }
 
+/// A symmetric positive definite P that spreads a field over its neighbours.
+pub trait Spread {
+    /// Records `x = P · field`.
+    fn spread(&self, recorder: &mut Recorder<'_>, field: &Buffer<f32>, x: &Buffer<f32>);
+}
+
+impl Spread for LargeSteps {
+    fn spread(&self, recorder: &mut Recorder<'_>, field: &Buffer<f32>, x: &Buffer<f32>) {
+        self.solve(recorder, field, x);
+    }
+}
+
+impl Spread for Tridiagonal {
+    fn spread(&self, recorder: &mut Recorder<'_>, field: &Buffer<f32>, x: &Buffer<f32>) {
+        self.solve(recorder, field, x);
+    }
+}
+
 /// `values = start + P u` (see [`crate::ops::large_steps`]): what is optimised is u.
-pub struct SmoothCoordinates {
-    solver: LargeSteps,
+pub struct SmoothCoordinates<P: Spread> {
+    solver: P,
+    add: Add,
     start: Buffer<f32>,
     u: Buffer<f32>,
     grad_u: Buffer<f32>,
     moved: Buffer<f32>,
 }
 
-impl SmoothCoordinates {
+impl<P: Spread> SmoothCoordinates<P> {
     /// u = 0 at `start`.
-    pub fn new(gpu: &Gpu, solver: LargeSteps, start: &[f32]) -> Self {
+    pub fn new(gpu: &Gpu, solver: P, start: &[f32]) -> Self {
         let zeros = |name: &str| gpu.zeros(&format!("fit/smooth/{name}"), start.len());
         let start = gpu.upload("fit/smooth/start", start);
-        Self { solver, start, u: zeros("u"), grad_u: zeros("grad_u"), moved: zeros("moved") }
+        Self { solver, add: Add::new(gpu), start, u: zeros("u"), grad_u: zeros("grad_u"), moved: zeros("moved") }
     }
 
     /// Records a step of u down the gradient `grads` by the values, as `step` takes it from the gradient by u, and then the
@@ -122,9 +143,9 @@ impl SmoothCoordinates {
         grads: &Buffer<f32>,
         step: impl FnOnce(&mut Recorder<'_>, &Buffer<f32>, &Buffer<f32>),
     ) {
-        self.solver.solve(recorder, grads, &self.grad_u);
+        self.solver.spread(recorder, grads, &self.grad_u);
         step(recorder, &self.u, &self.grad_u);
-        self.solver.solve(recorder, &self.u, &self.moved);
-        self.solver.add(recorder, &self.start, &self.moved, values);
+        self.solver.spread(recorder, &self.u, &self.moved);
+        self.add.record(recorder, &self.start, &self.moved, values);
     }
 }

@@ -47,7 +47,7 @@ impl Losses {
             recorded: Default::default(),
             visits: vec![0; n_frames],
             errors: vec![None; n_frames],
-            pixels: scene.frames.iter().map(|frame| frame.levels[0].n_foreground.max(1)).collect(),
+            pixels: scene.frames.iter().map(|frame| frame.levels[0].inside.len().max(1)).collect(),
         }
     }
 

@@ -8,8 +8,8 @@ use super::state::FitState;
 use crate::body::N_JOINTS;
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::adam::{Adam, AdamConfig};
-use crate::ops::large_steps::LargeSteps;
 use crate::ops::skinning::PoseAt;
+use crate::ops::tridiagonal::Tridiagonal;
 
 /// The parameters of all frames.
 pub struct PoseGroups {
@@ -80,7 +80,7 @@ impl PoseGroups {
 /// small differences that neighbouring frames share, while what pixels say of one frame alone is mostly their own raster.
 /// Spread over its neighbours, a frame's gradient keeps the former and loses the latter.
 struct SmoothInTime {
-    smooth: SmoothCoordinates,
+    smooth: SmoothCoordinates<Tridiagonal>,
     adam: Adam,
     steps: u32,
 }
@@ -89,8 +89,7 @@ impl SmoothInTime {
     /// `start [N, per_frame, 3]`. Steps spread over some `frames` frames, but not where a number changes by more than `jump`:
     /// axis-angle vectors jump at half turns, and a gap in the clip is no motion.
     fn new(gpu: &Gpu, start: &[f32], per_frame: usize, jump: f32, frames: f32) -> Self {
-        let (starts, items) = chains(start, per_frame, jump);
-        let solver = LargeSteps::new(gpu, &starts, &items, f64::from(frames * frames));
+        let solver = Tridiagonal::new(gpu, &links(start, per_frame, jump), per_frame, f64::from(frames * frames));
         let adam = Adam::new(gpu, "smooth_in_time", start.len(), AdamConfig::default());
         Self { smooth: SmoothCoordinates::new(gpu, solver, start), adam, steps: 0 }
     }
@@ -105,17 +104,12 @@ impl SmoothInTime {
     }
 }
 
-/// The frames before and after each entry of `values [N, per_frame, 3]`, as compressed rows.
-fn chains(values: &[f32], per_frame: usize, jump: f32) -> (Vec<u32>, Vec<u32>) {
+/// `[N, per_frame]`: whether an entry of `values [N, per_frame, 3]` goes on in the next frame without a jump.
+fn links(values: &[f32], per_frame: usize, jump: f32) -> Vec<bool> {
     let entries = values.as_chunks::<3>().0;
-    let linked = |a: usize, b: usize| entries[a].iter().zip(&entries[b]).all(|(x, y)| (x - y).abs() <= jump);
-    let (mut starts, mut items) = (vec![0], Vec::new());
-    for i in 0..entries.len() {
-        let (before, after) = (i.checked_sub(per_frame), Some(i + per_frame).filter(|&k| k < entries.len()));
-        items.extend([before, after].into_iter().flatten().filter(|&k| linked(i, k)).map(|k| k as u32));
-        starts.push(items.len() as u32);
-    }
-    (starts, items)
+    let near = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).all(|(x, y)| (x - y).abs() <= jump);
+    let next = |i: usize| entries.get(i + per_frame).is_some_and(|after| near(&entries[i], after));
+    (0..entries.len()).map(next).collect()
 }
 
 #[cfg(test)]
@@ -127,9 +121,7 @@ mod tests {
         // Four frames of two joints; the second one jumps before the last frame.
         let mut values = vec![0.0; 24];
         values[21] = 3.0;
-        let (starts, items) = chains(&values, 2, 0.5);
-        let row = |i: usize| &items[starts[i] as usize..starts[i + 1] as usize];
-        assert_eq!([row(0), row(2), row(4), row(6)], [&[2][..], &[0, 4], &[2, 6], &[4]]);
-        assert_eq!([row(1), row(3), row(5), row(7)], [&[3][..], &[1, 5], &[3], &[]]);
+        let links = links(&values, 2, 0.5);
+        assert_eq!(links, [true, true, true, true, true, false, false, false]);
     }
 }

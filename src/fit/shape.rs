@@ -22,7 +22,7 @@ pub(super) struct Shape {
     mesh: MeshLosses,
     diffuse: Diffuse,
     /// The coordinates of a phase with large steps.
-    smooth: Option<SmoothCoordinates>,
+    smooth: Option<SmoothCoordinates<LargeSteps>>,
     neighbours: Rows,
 }
 

@@ -84,18 +84,29 @@ impl Gpu {
 
     /// Copies the whole buffer back; waits for all submitted work.
     pub fn read<T: Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, GpuError> {
-        if buffer.is_empty() {
+        self.read_front(buffer, buffer.len)
+    }
+
+    /// Copies the first `len` values back; waits for all submitted work.
+    ///
+    /// # Panics
+    /// When there are fewer.
+    pub fn read_front<T: Pod>(&self, buffer: &Buffer<T>, len: usize) -> Result<Vec<T>, GpuError> {
+        assert!(len <= buffer.len, "{}: {len} values of {}", buffer.label, buffer.len);
+        if len == 0 {
             return Ok(Vec::new());
         }
+        // Copies are whole words.
+        let size = ((len * size_of::<T>()) as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT).min(buffer.raw.size());
         let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("gpu/read"),
-            size: buffer.raw.size(),
+            size,
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
         let mut encoder =
             self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("gpu/read") });
-        encoder.copy_buffer_to_buffer(&buffer.raw, 0, &staging, 0, buffer.raw.size());
+        encoder.copy_buffer_to_buffer(&buffer.raw, 0, &staging, 0, size);
         self.queue.submit([encoder.finish()]);
         let (send, receive) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |result| {
@@ -107,6 +118,6 @@ impl Gpu {
             .map_err(|e| GpuError::Lost(e.to_string()))?
             .map_err(|e| GpuError::Failed(format!("{}: {e}", buffer.label)))?;
         let view = staging.get_mapped_range(..).map_err(|e| GpuError::Failed(format!("{}: {e}", buffer.label)))?;
-        Ok(bytemuck::pod_collect_to_vec(&view[..buffer.len * size_of::<T>()]))
+        Ok(bytemuck::pod_collect_to_vec(&view[..len * size_of::<T>()]))
     }
 }

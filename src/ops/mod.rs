@@ -20,6 +20,7 @@ macro_rules! kernel {
 }
 
 pub mod adam;
+pub mod add;
 pub mod anchor;
 mod corners;
 pub mod diffuse;
@@ -36,6 +37,7 @@ pub mod light;
 mod linear;
 pub mod nmr;
 pub mod normal_consistency;
+mod pixel_list;
 pub mod project;
 mod real;
 pub mod reduce;
@@ -50,8 +52,10 @@ pub(crate) mod testing;
 pub mod texel_map;
 pub mod texture_field;
 pub mod topology;
+pub mod tridiagonal;
 
 pub use corners::Corners;
+pub use pixel_list::PixelList;
 pub use real::Real;
 pub use reduce::LossSlot;
 pub use target::{Target, pack_pixel};

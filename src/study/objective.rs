@@ -11,7 +11,7 @@ use crate::ops::nmr::{Nmr, NmrConfig};
 use crate::ops::rgb_l1::RgbL1;
 use crate::ops::silhouette_iou::SilhouetteIou;
 use crate::ops::soft_rasterize::{SoftRasterizeParams, SoftRasterizer};
-use crate::ops::{Corners, LossSlot, Target, pack_pixel};
+use crate::ops::{Corners, LossSlot, PixelList, Target, pack_pixel};
 
 /// What carries the gradient of the hard image to the mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,9 +50,8 @@ pub struct Objective {
 pub struct View {
     pub camera: Camera,
     target: Buffer<u32>,
-    /// 1 inside the mask, else 0
-    inside: Buffer<f32>,
-    n_foreground: usize,
+    /// Pixels inside the mask
+    inside: PixelList,
 }
 
 impl View {
@@ -60,11 +59,9 @@ impl View {
     pub fn new(gpu: &Gpu, camera: Camera, pixels: &[[u8; 4]]) -> Self {
         assert_eq!(pixels.len(), camera.n_pixels(), "pixels of a view");
         let packed: Vec<u32> = pixels.iter().map(|&[r, g, b, a]| pack_pixel([r, g, b], a)).collect();
-        let inside: Vec<f32> = pixels.iter().map(|p| if p[3] >= 128 { 1.0 } else { 0.0 }).collect();
         Self {
             target: gpu.upload("study/target", &packed),
-            n_foreground: inside.iter().filter(|&&x| x > 0.0).count(),
-            inside: gpu.upload("study/inside", &inside),
+            inside: PixelList::new(gpu, "study/inside", pixels.iter().map(|p| p[3] >= 128)),
             camera,
         }
     }
@@ -150,7 +147,7 @@ impl ImageTerms {
     ) {
         let (camera, n) = (&view.camera, view.camera.n_pixels());
         let target = Target::Packed { pixels: &view.target, offset: 0, background: Some(BACKGROUND) };
-        let rgb_weight = part * self.objective.rgb_weight / view.n_foreground.max(1) as f32;
+        let rgb_weight = part * self.objective.rgb_weight / view.inside.len().max(1) as f32;
         let slot = |index| LossSlot::new(&self.losses, index);
 
         self.hard.forward(recorder, camera, points);

@@ -6,7 +6,7 @@ use anyhow::Result;
 use glam::Vec3;
 use image::RgbImage;
 
-use crate::avatar::{Picture, SurfacePoint, Tracer};
+use crate::avatar::{Picture, Shading, SurfacePoint, Tracer};
 use crate::camera::Camera;
 use crate::gpu::Gpu;
 
@@ -44,7 +44,9 @@ impl<'a> Painter<'a> {
         camera: &Camera,
         colour: impl Fn(&SurfacePoint) -> [f32; 3],
     ) -> Result<Picture> {
-        Ok(self.tracer.trace(vertices, camera, SAMPLES, |points| Ok(points.iter().map(&colour).collect()))?)
+        Ok(self
+            .tracer
+            .trace(vertices, camera, SAMPLES, Shading::Samples, |points| Ok(points.iter().map(&colour).collect()))?)
     }
 }
 

@@ -12,7 +12,7 @@ use image::RgbImage;
 use super::Context;
 use super::painter::on_white;
 use crate::avatar::ply::{self, Mesh};
-use crate::avatar::{AvatarModel, Background, RenderSpec, Renderer, Tracer, vertex_normals};
+use crate::avatar::{AvatarModel, Background, RenderSpec, Renderer, Shading, Tracer, vertex_normals};
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureInputs, CaptureOptions};
@@ -170,9 +170,10 @@ impl Person {
             let normal: Vec3 = (0..3).map(|k| Vec3::from(normals[corners[k] as usize]) * point.bary[k]).sum();
             [0.5 + 0.45 * normal.normalize_or_zero().dot(light); 3]
         };
-        let picture = tracer.trace(&mesh.vertices, &camera.scaled(size_px, size_px), 3, |points| {
-            Ok(points.iter().map(shade).collect())
-        })?;
+        let picture =
+            tracer.trace(&mesh.vertices, &camera.scaled(size_px, size_px), 3, Shading::Samples, |points| {
+                Ok(points.iter().map(shade).collect())
+            })?;
         Ok(on_white(&picture))
     }
 

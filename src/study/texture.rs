@@ -8,7 +8,7 @@ use image::imageops::{self, FilterType};
 use super::painter::{on_white, sheet};
 use super::person::{Fitted, Person, comparable};
 use super::{Context, Report, Study, Table, Verdict};
-use crate::avatar::{SurfacePoint, SurfaceTexture, Tracer, UvLayout};
+use crate::avatar::{Shading, SurfacePoint, SurfaceTexture, Tracer, UvLayout};
 use crate::camera::Camera;
 use crate::eval::{Novel, Outfit, SynthOptions, psnr, ssim};
 use crate::fit::{FitConfig, FitState, Stage, Texels};
@@ -172,10 +172,11 @@ fn pictures(person: &Person, fitted: &Fitted, config: &FitConfig, novels: &[Nove
         texel_map::cpu::forward(&texels.values, texels.side, &[u, v, 0.0]).map(|x| x.clamp(0.0, 1.0))
     };
     let picture = |novel: &Novel| -> Result<RgbImage> {
-        let drawn = tracer.trace(&posed.vertices, &novel.camera, 4, |points| match &fitted.state.texels {
-            Some(texels) => Ok(points.iter().map(|p| texel(texels, p)).collect()),
-            None => hash.colours(&person.gpu, points),
-        })?;
+        let drawn =
+            tracer.trace(&posed.vertices, &novel.camera, 4, Shading::Samples, |points| match &fitted.state.texels {
+                Some(texels) => Ok(points.iter().map(|p| texel(texels, p)).collect()),
+                None => hash.colours(&person.gpu, points),
+            })?;
         Ok(on_white(&drawn))
     };
     novels.iter().map(picture).collect()

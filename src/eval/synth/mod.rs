@@ -21,7 +21,7 @@ use self::keypoints::{detect, normal};
 use self::motion::{novel_poses, turn};
 use self::paint::Paint;
 use self::write::{FolderWriter, NovelEntry};
-use crate::avatar::{Picture, Pose, Tracer, VideoError, vertex_normals};
+use crate::avatar::{Picture, Pose, Shading, Tracer, VideoError, vertex_normals};
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
@@ -110,7 +110,7 @@ impl Scene<'_> {
 
     fn picture(&self, posed: &Posed<f32>, camera: &Camera) -> Result<Picture, GpuError> {
         let normals = vertex_normals(&posed.vertices, &self.body.faces);
-        self.tracer.trace(&posed.vertices, camera, SAMPLES, |points| {
+        self.tracer.trace(&posed.vertices, camera, SAMPLES, Shading::Samples, |points| {
             Ok(points.iter().map(|p| self.paint.colour(p, &normals)).collect())
         })
     }

@@ -5,7 +5,7 @@ use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::Topology;
 use crate::ops::face_normals::FaceNormals;
 use crate::ops::interpolate::Interpolate;
-use crate::ops::light::{Light, Shading, Write};
+use crate::ops::light::{Light, ShadedRows, Shading, Write};
 
 /// A light and what it needs to know of the body. One frame at a time: the scene's last one.
 pub struct Lit {
@@ -14,7 +14,9 @@ pub struct Lit {
     shading: Shading,
     /// `[F, 3]`, world space
     on_faces: Buffer<f32>,
-    /// `[V, 3]`, world space
+    /// `[F]`
+    face_lamps: Buffer<f32>,
+    /// `[V, 3]`, unit, world space
     on_vertices: Buffer<f32>,
     /// `[1]`: F
     all_faces: Buffer<u32>,
@@ -27,6 +29,7 @@ impl Lit {
         Self {
             light,
             on_faces: face_normals.normals(gpu, "fit/lit/face_normals"),
+            face_lamps: gpu.zeros("fit/lit/face_lamps", faces.len()),
             on_vertices: gpu.zeros("fit/lit/vertex_normals", 3 * topology.corners.len()),
             all_faces: gpu.upload("fit/lit/all_faces", &[faces.len() as u32]),
             shading: Shading::new(gpu, topology),
@@ -35,30 +38,32 @@ impl Lit {
         }
     }
 
-    /// Records the normals of the scene's posed body.
+    /// Records the normals of the scene's posed body, and the lamp's light on its faces.
     pub fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene) {
         self.face_normals.forward(recorder, &scene.posed.vertices, &self.on_faces);
         self.shading.vertex_normals(recorder, &self.on_faces, &self.on_vertices);
+        self.shading.lamps(recorder, &self.light, &self.on_faces, &self.face_lamps);
     }
 
     /// Records `shaded = values · shade`, `[F, 3]`.
     pub fn faces(&self, recorder: &mut Recorder<'_>, values: &Buffer<f32>, shaded: &Buffer<f32>, write: Write) {
-        let (count, n) = (&self.all_faces, self.n_faces);
-        self.shading.apply(recorder, &self.light, &self.on_faces, count, n, values, shaded, write);
+        let rows = ShadedRows::Counted(&self.all_faces, self.n_faces);
+        self.shading.apply(recorder, &self.light, rows, &self.face_lamps, values, shaded, write);
     }
 
-    /// Records the normals of the listed pixels of the scene's hard image, `[P, 3]`.
-    pub fn pixel_normals(
+    /// Records the lamp's light `[P]` on the listed pixels of the scene's hard image.
+    pub fn pixel_lamps(
         &self,
         recorder: &mut Recorder<'_>,
         scene: &Scene,
         list: &Interpolate,
         n: usize,
-        normals: &Buffer<f32>,
+        lamps: &Buffer<f32>,
     ) {
         let (hard, faces) = (&scene.hard, &scene.corners.faces);
         let (pix_to_face, bary) = (&hard.pix_to_face, &hard.bary_coords);
-        self.shading.pixel_normals(recorder, list, n, pix_to_face, bary, faces, &self.on_vertices, normals);
+        let normals = &self.on_vertices;
+        self.shading.pixel_lamps(recorder, &self.light, list, n, pix_to_face, bary, faces, normals, lamps);
     }
 
     /// Records `shaded = values · shade` of the listed pixels, `[P, 3]`.
@@ -67,12 +72,12 @@ impl Lit {
         recorder: &mut Recorder<'_>,
         list: &Interpolate,
         n: usize,
-        normals: &Buffer<f32>,
+        lamps: &Buffer<f32>,
         values: &Buffer<f32>,
         shaded: &Buffer<f32>,
     ) {
-        let n_max = list.n_max(n);
-        self.shading.apply(recorder, &self.light, normals, &list.count, n_max, values, shaded, Write::Over);
+        let rows = ShadedRows::Listed(list, n);
+        self.shading.apply(recorder, &self.light, rows, lamps, values, shaded, Write::Over);
     }
 
     /// Unit normals `[F]` of the scene's posed body, world space. Waits.

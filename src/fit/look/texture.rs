@@ -6,7 +6,7 @@ use super::model::TextureModel;
 use super::{Lit, Look, solve_face_colours};
 use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
-use crate::fit::frames::FrameLevel;
+use crate::fit::frames::{DeviceFrame, FrameLevel};
 use crate::fit::groups::Group;
 use crate::fit::losses::Losses;
 use crate::fit::poses::PoseGroups;
@@ -15,6 +15,7 @@ use crate::fit::schedule::Step;
 use crate::fit::state::FitState;
 use crate::fit::{FitError, Inputs};
 use crate::gpu::{Buffer, Gpu, Recorder};
+use crate::ops::PixelList;
 use crate::ops::adam::AdamConfig;
 use crate::ops::edge_gradient::RgbGradient;
 use crate::ops::interpolate::{Interpolate, Sampling};
@@ -46,8 +47,8 @@ pub struct Texture {
     grad_rgb: Buffer<f32>,
     grad_coords: Buffer<f32>,
     grad_bary: Buffer<f32>,
-    /// `[N][level]`: weights of the pixels, see [`trusted_pixels`].
-    trusted: Vec<Vec<Buffer<f32>>>,
+    /// `[N][level]`, see [`trusted_pixels`].
+    trusted: Vec<Vec<PixelList>>,
     pixel_rate: f32,
 }
 
@@ -59,8 +60,9 @@ struct LitTexture {
     lit: Lit,
     /// `[F, 3]`: the face colours in the light of the frame
     shaded_faces: Buffer<f32>,
-    /// `[P, 3]`, as are the others
-    normals: Buffer<f32>,
+    /// `[P]`
+    lamps: Buffer<f32>,
+    /// `[P, 3]` both
     shaded: Buffer<f32>,
     grad_shaded: Buffer<f32>,
 }
@@ -85,31 +87,30 @@ impl Middles {
     }
 }
 
-/// 1 for pixels well inside the mask, 0 elsewhere: the mask's border mixes the person with the background, and the texture
-/// must not learn that.
-fn trusted_pixels(level: &FrameLevel, pixels: &[u32]) -> Vec<f32> {
+/// The pixels well inside the mask: its border mixes the person with the background, and the texture must not learn that.
+fn trusted_pixels(gpu: &Gpu, level: &FrameLevel) -> Result<PixelList, FitError> {
+    let pixels = gpu.read(&level.target)?;
     let (width, height) = (level.width as usize, level.height as usize);
     let inside = |x: usize, y: usize| x < width && y < height && pixels[y * width + x] >> 24 >= 128;
     let trusted = |(x, y): (usize, usize)| {
         let around = [(1, 1), (0, 1), (2, 1), (1, 0), (1, 2)];
-        around.iter().all(|&(dx, dy)| inside((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1))) as u8 as f32
+        around.iter().all(|&(dx, dy)| inside((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1)))
     };
-    (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(trusted).collect()
+    let all = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+    Ok(PixelList::new(gpu, "fit/trusted", all.map(trusted)))
 }
 
 impl Texture {
     pub fn new(scene: &Scene, inputs: &Inputs<'_>, state: &FitState) -> Result<Self, FitError> {
         let (gpu, n, n_faces) = (&scene.gpu, scene.max_pixels, scene.corners.n_faces());
         let (config, faces) = (inputs.config, &inputs.body.faces);
-        let trusted = |level: &FrameLevel| -> Result<_, FitError> {
-            Ok(gpu.upload("fit/trusted", &trusted_pixels(level, &gpu.read(&level.target)?)))
-        };
-        let trusted = scene.frames.iter().map(|frame| frame.levels.iter().map(trusted).collect());
+        let levels = |frame: &DeviceFrame| frame.levels.iter().map(|level| trusted_pixels(gpu, level)).collect();
+        let trusted = scene.frames.iter().map(levels);
         let zeros = |name: &str| gpu.zeros::<f32>(&format!("fit/{name}"), n * 3);
         let lit = || LitTexture {
             lit: Lit::new(gpu, faces, inputs.topology, state.light),
             shaded_faces: gpu.zeros("fit/shaded_faces", n_faces * 3),
-            normals: zeros("pixel_normals"),
+            lamps: gpu.zeros("fit/pixel_lamps", n),
             shaded: zeros("shaded"),
             grad_shaded: zeros("grad_shaded"),
         };
@@ -183,9 +184,9 @@ impl Look for Texture {
         let n_max = interpolate.n_max(n);
         model.forward(recorder, &interpolate.coords, &interpolate.count, n_max);
         let shown = match &self.lit {
-            Some(LitTexture { lit, normals, shaded, .. }) => {
-                lit.pixel_normals(recorder, scene, interpolate, n, normals);
-                lit.pixels(recorder, interpolate, n, normals, model.rgb(), shaded);
+            Some(LitTexture { lit, lamps, shaded, .. }) => {
+                lit.pixel_lamps(recorder, scene, interpolate, n, lamps);
+                lit.pixels(recorder, interpolate, n, lamps, model.rgb(), shaded);
                 shaded
             }
             None => model.rgb(),
@@ -197,9 +198,9 @@ impl Look for Texture {
         let slot = losses.rgb_slot(frame.frame);
         self.rgb.forward_backward(recorder, n, image, target, trusted, slot, weight, grad_image);
         match &self.lit {
-            Some(LitTexture { lit, normals, grad_shaded, .. }) => {
+            Some(LitTexture { lit, lamps, grad_shaded, .. }) => {
                 interpolate.gather(recorder, n, grad_image, grad_shaded);
-                lit.pixels(recorder, interpolate, n, normals, grad_shaded, grad_rgb);
+                lit.pixels(recorder, interpolate, n, lamps, grad_shaded, grad_rgb);
             }
             None => interpolate.gather(recorder, n, grad_image, grad_rgb),
         }

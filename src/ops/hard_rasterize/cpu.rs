@@ -21,10 +21,19 @@ struct Meeting<T> {
     z: T,
 }
 
+fn ray_at<T: Real>(camera: &Camera, [x, y]: [f64; 2]) -> [T; 2] {
+    [T::of((x - camera.cx) / camera.fx), T::of((y - camera.cy) / camera.fy)]
+}
+
 fn ray<T: Real>(camera: &Camera, pixel: usize) -> [T; 2] {
     let width = camera.width as usize;
-    let (x, y) = ((pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5);
-    [T::of((x - camera.cx) / camera.fx), T::of((y - camera.cy) / camera.fy)]
+    ray_at(camera, [(pixel % width) as f64 + 0.5, (pixel / width) as f64 + 0.5])
+}
+
+/// Barycentric coordinates of where the ray through a point of the image, in pixels, meets the plane of a triangle in camera
+/// space.
+pub fn bary_at<T: Real>(camera: &Camera, triangle: &[[T; 3]; 3], point: [f64; 2]) -> [T; 3] {
+    meet(triangle, ray_at(camera, point)).1.bary
 }
 
 fn meet<T: Real>(t: &[[T; 3]; 3], ray: [T; 2]) -> ([T; 3], Meeting<T>) {

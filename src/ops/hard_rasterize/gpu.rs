@@ -33,6 +33,7 @@ pub struct HardRasterizer {
     config: HardRasterizeConfig,
     max_pixels: usize,
     passes: [Arc<Kernel>; 3],
+    faces: Arc<Kernel>,
     backward: Arc<Kernel>,
     backward_zbuf: Arc<Kernel>,
     screen_backward: Arc<Kernel>,
@@ -56,6 +57,7 @@ impl HardRasterizer {
                 kernel!(gpu, "hard_rasterize/claim", cull),
                 kernel!(gpu, "hard_rasterize/resolve"),
             ],
+            faces: kernel!(gpu, "hard_rasterize/faces"),
             backward: kernel!(gpu, "hard_rasterize/backward"),
             backward_zbuf: kernel!(gpu, "hard_rasterize/backward", &[("HAS_GRAD_ZBUF", "true".to_owned())]),
             screen_backward: kernel!(gpu, "hard_rasterize/screen_backward"),
@@ -98,16 +100,37 @@ impl HardRasterizer {
     /// # Panics
     /// When the image has more pixels than this rasteriser was made for, or `view` does not fit the mesh.
     pub fn forward(&self, recorder: &mut Recorder<'_>, camera: &Camera, view: &Buffer<f32>) {
+        let params = self.own(recorder, camera, view);
+        let Self { nearest, owner, .. } = self;
+        let faces = &self.corners.faces;
+        let buffers: [&dyn AnyBuffer; 8] =
+            [view, faces, nearest, owner, &self.pix_to_face, &self.bary_coords, &self.zbuf, &self.alpha];
+        recorder.dispatch(&self.passes[2], &params, &buffers, linear_groups(camera.n_pixels(), 64));
+    }
+
+    /// Records `pix_to_face` of the image, and nothing else of it: for those who find the rest where they need it
+    /// ([`super::cpu::bary_at`]).
+    ///
+    /// # Panics
+    /// As [`HardRasterizer::forward`].
+    pub fn forward_faces(&self, recorder: &mut Recorder<'_>, camera: &Camera, view: &Buffer<f32>) {
+        self.own(recorder, camera, view);
+        let n = camera.n_pixels();
+        let params = [self.corners.n_faces() as u32, n as u32, 0, 0];
+        let buffers: [&dyn AnyBuffer; 3] = [&self.nearest, &self.owner, &self.pix_to_face];
+        recorder.dispatch(&self.faces, &params, &buffers, linear_groups(n, 64));
+    }
+
+    /// Records which face owns each pixel.
+    fn own(&self, recorder: &mut Recorder<'_>, camera: &Camera, view: &Buffer<f32>) -> Params {
         let params = self.params(camera, view);
         let Self { nearest, owner, .. } = self;
-        let [depth, claim, resolve] = &self.passes;
+        let [depth, claim, _] = &self.passes;
         let faces = &self.corners.faces;
         let by_face = linear_groups(self.corners.n_faces(), 64);
         recorder.dispatch(depth, &params, &[view, faces, nearest], by_face);
         recorder.dispatch(claim, &params, &[view, faces, nearest, owner], by_face);
-        let buffers: [&dyn AnyBuffer; 8] =
-            [view, faces, nearest, owner, &self.pix_to_face, &self.bary_coords, &self.zbuf, &self.alpha];
-        recorder.dispatch(resolve, &params, &buffers, linear_groups(camera.n_pixels(), 64));
+        params
     }
 
     /// Records `grad_view +=` the gradient through `bary_coords` (and `zbuf`) of the last image.

@@ -202,3 +202,31 @@ fn large_faces_leave_no_holes() {
     let owners = device.pix_to_face(&gpu, &camera);
     assert!(owners.iter().all(|&f| f == 0 || f == 1), "the near side covers the image");
 }
+
+#[test]
+fn the_faces_alone_are_those_of_the_whole_image() {
+    let Some(gpu) = gpu("hard_rasterize::the_faces_alone_are_those_of_the_whole_image") else { return };
+    let (view, faces) = bumpy_surface(24);
+    let camera = Camera::pinhole(64, 48, [60.0, 60.0, 31.0, 23.0]);
+    let device = Device::new(&gpu, CONFIG, &camera, &view, &faces);
+    let want = device.pix_to_face(&gpu, &camera);
+    assert!(want.iter().any(|&f| f >= 0) && want.contains(&-1), "face and background");
+    for _ in 0..2 {
+        gpu.write(&device.op.pix_to_face, 0, &vec![7; want.len()]);
+        let mut recorder = gpu.recorder("hard_rasterize/test");
+        device.op.forward_faces(&mut recorder, &camera, &device.view);
+        recorder.submit().unwrap();
+        assert_eq!(device.pix_to_face(&gpu, &camera), want);
+    }
+}
+
+#[test]
+fn a_point_has_the_coordinates_that_the_image_has_there() {
+    let triangle = TRIANGLE.as_chunks::<3>().0.try_into().unwrap();
+    let image = cpu::forward(&CONFIG, &CAMERA, &TRIANGLE, &[[0, 1, 2]]);
+    for pixel in (0..CAMERA.n_pixels()).filter(|&p| image.pix_to_face[p] == 0) {
+        let middle = [(pixel % 12) as f64 + 0.5, (pixel / 12) as f64 + 0.5];
+        let bary = cpu::bary_at(&CAMERA, triangle, middle);
+        assert_close("bary", &bary, &image.bary_coords[3 * pixel..][..3], 1e-12);
+    }
+}

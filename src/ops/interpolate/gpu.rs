@@ -90,13 +90,23 @@ impl Interpolate {
         recorder.dispatch(&self.kernels.list, &params, &buffers, linear_groups(n_pixels, 64));
         let buffers: [&dyn AnyBuffer; 7] =
             [&self.count, &self.pixel_index, pix_to_face, bary_coords, faces, texcoords, &self.coords];
-        self.over_list(recorder, &self.kernels.forward, self.n_max(n_pixels), &buffers);
+        self.each(recorder, &self.kernels.forward, self.n_max(n_pixels), &buffers);
     }
 
-    /// Records a kernel that takes a listed pixel an invocation.
-    fn over_list(&self, recorder: &mut Recorder<'_>, kernel: &Arc<Kernel>, n_max: usize, buffers: &[&dyn AnyBuffer]) {
+    /// Records a kernel that takes a listed pixel an invocation, 64 a workgroup.
+    pub(in crate::ops) fn over_list<P: bytemuck::Pod>(
+        &self,
+        recorder: &mut Recorder<'_>,
+        kernel: &Arc<Kernel>,
+        params: &P,
+        buffers: &[&dyn AnyBuffer],
+    ) {
+        recorder.dispatch_indirect(kernel, params, buffers, &self.workgroups, 0);
+    }
+
+    fn each(&self, recorder: &mut Recorder<'_>, kernel: &Arc<Kernel>, n_max: usize, buffers: &[&dyn AnyBuffer]) {
         let params: [u32; 4] = [n_max as u32, 0, 0, 0];
-        recorder.dispatch_indirect(kernel, &params, buffers, &self.workgroups, 0);
+        self.over_list(recorder, kernel, &params, buffers);
     }
 
     /// Records the gradient by the attribute: adds to `grad_texcoords [V, 3]` what `grad_coords [P, 3]` says.
@@ -117,7 +127,7 @@ impl Interpolate {
         let n_max = self.checked_n_max(n_pixels, grad_coords);
         let buffers: [&dyn AnyBuffer; 7] =
             [&self.count, &self.pixel_index, pix_to_face, bary_coords, faces, grad_coords, grad_texcoords];
-        self.over_list(recorder, &self.kernels.backward, n_max, &buffers);
+        self.each(recorder, &self.kernels.backward, n_max, &buffers);
     }
 
     /// Records the gradient by the barycentric coordinates: adds to `grad_bary [H, W, 3]` at the listed pixels.
@@ -139,7 +149,7 @@ impl Interpolate {
         assert!(3 * n_pixels <= grad_bary.len(), "interpolate: grad_bary has {} values", grad_bary.len());
         let buffers: [&dyn AnyBuffer; 7] =
             [&self.count, &self.pixel_index, pix_to_face, faces, texcoords, grad_coords, grad_bary];
-        self.over_list(recorder, &self.kernels.backward_bary, n_max, &buffers);
+        self.each(recorder, &self.kernels.backward_bary, n_max, &buffers);
     }
 
     /// Records `image [H, W, 3]`: `rgb [P, 3]` at the listed pixels, `background` elsewhere.
@@ -158,7 +168,7 @@ impl Interpolate {
         assert!(3 * n_pixels <= image.len(), "interpolate: the image has {} values", image.len());
         self.fill.record(recorder, n_pixels, background, image);
         let buffers: [&dyn AnyBuffer; 4] = [&self.count, &self.pixel_index, rgb, image];
-        self.over_list(recorder, &self.kernels.scatter, n_max, &buffers);
+        self.each(recorder, &self.kernels.scatter, n_max, &buffers);
     }
 
     /// Records `grad_rgb [P, 3] = grad_image [H, W, 3]` at the listed pixels; overwrites.
@@ -175,7 +185,7 @@ impl Interpolate {
         let n_max = self.checked_n_max(n_pixels, grad_rgb);
         assert!(3 * n_pixels <= grad_image.len(), "interpolate: the image has {} values", grad_image.len());
         let buffers: [&dyn AnyBuffer; 4] = [&self.count, &self.pixel_index, grad_image, grad_rgb];
-        self.over_list(recorder, &self.kernels.gather, n_max, &buffers);
+        self.each(recorder, &self.kernels.gather, n_max, &buffers);
     }
 
     fn checked_n_max(&self, n_pixels: usize, rows: &Buffer<f32>) -> usize {

@@ -1,13 +1,13 @@
 //! Reference twin.
 
-use super::{chebyshev, radius};
+use super::Spectrum;
 use crate::ops::Real;
 
 /// `P · right_side`. `starts [V + 1]` and `neighbours` are the adjacency in compressed rows.
 pub fn solve<T: Real>(starts: &[u32], neighbours: &[u32], right_side: &[T], lambda: f64, rounds: usize) -> Vec<T> {
     let mut x = vec![T::zero(); right_side.len()];
     let mut moves = x.clone();
-    for (momentum, gain) in chebyshev(radius(starts, lambda), rounds) {
+    for (momentum, gain) in Spectrum::new(starts, neighbours, lambda).chebyshev(rounds) {
         let from = x.clone();
         for i in 0..starts.len() - 1 {
             let row = &neighbours[starts[i] as usize..starts[i + 1] as usize];

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{chebyshev, radius, rounds};
+use super::Spectrum;
 use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder, linear_groups};
 
 #[repr(C)]
@@ -17,7 +17,6 @@ struct Params {
 /// The solver of one mesh.
 pub struct LargeSteps {
     iterate: Arc<Kernel>,
-    sum: Arc<Kernel>,
     starts: Buffer<u32>,
     neighbours: Buffer<u32>,
     /// Every other round's result.
@@ -31,16 +30,15 @@ impl LargeSteps {
     /// `starts [V + 1]` and `neighbours` are the adjacency in compressed rows.
     pub fn new(gpu: &Gpu, starts: &[u32], neighbours: &[u32], lambda: f64) -> Self {
         let len = 3 * (starts.len() - 1);
-        let rho = radius(starts, lambda);
+        let spectrum = Spectrum::new(starts, neighbours, lambda);
         Self {
             iterate: gpu.kernel("large_steps/iterate", include_str!("../../../shaders/large_steps/iterate.wgsl"), &[]),
-            sum: gpu.kernel("large_steps/sum", include_str!("../../../shaders/large_steps/sum.wgsl"), &[]),
             starts: gpu.upload("large_steps/starts", starts),
             neighbours: gpu.upload("large_steps/neighbours", neighbours),
             other: gpu.zeros("large_steps/other", len),
             moves: gpu.zeros("large_steps/moves", len),
             lambda,
-            factors: chebyshev(rho, rounds(rho)),
+            factors: spectrum.chebyshev(spectrum.rounds()),
         }
     }
 
@@ -67,15 +65,5 @@ impl LargeSteps {
             recorder.dispatch(&self.iterate, &params, &buffers, groups);
             (from, to) = (to, from);
         }
-    }
-
-    /// Records `sum = a + b`.
-    ///
-    /// # Panics
-    /// When a length differs.
-    pub fn add(&self, recorder: &mut Recorder<'_>, a: &Buffer<f32>, b: &Buffer<f32>, sum: &Buffer<f32>) {
-        assert!(a.len() == sum.len() && b.len() == sum.len(), "{}: length", sum.label());
-        let params = [sum.len() as u32, 0, 0, 0];
-        recorder.dispatch(&self.sum, &params, &[a, b, sum], linear_groups(sum.len(), 64));
     }
 }

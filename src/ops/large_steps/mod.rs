@@ -8,10 +8,9 @@
 //! | `x` | `[V, 3]` | overwritten with `P · right_side` |
 //!
 //! P is a polynomial of fixed degree: Chebyshev's iteration from zero on the equations scaled by their diagonal
-//! `1 + λ deg_i`. By Gershgorin the scaled matrix has its eigenvalues in `[1 − ρ, 1 + ρ]` with `ρ = λd / (1 + λd)` and d the
-//! largest degree, so that the residual after k rounds is at most `2 ((√κ − 1) / (√κ + 1))ᵏ` of the first, with
-//! `κ = (1 + ρ) / (1 − ρ)`. Ended early, when that is small or the rounds are used up, P is still symmetric and positive
-//! definite: all directions that it gives descend.
+//! `1 + λ deg_i`, for eigenvalues in `[low, high]` ([`Spectrum`]). The residual of a part of the field with such an
+//! eigenvalue is after k rounds at most `2 ((√κ − 1) / (√κ + 1))ᵏ` of the first, with `κ = high / low`. Ended early, when
+//! that is small or the rounds are used up, P is still symmetric and positive definite: all directions that it gives descend.
 
 pub mod cpu;
 mod gpu;
@@ -20,37 +19,71 @@ pub use gpu::LargeSteps;
 
 /// Rounds of a solve, at most.
 pub const ROUNDS: usize = 32;
-/// A solve ends when its residual is at most this part of the first.
-const TOLERANCE: f64 = 1e-3;
+/// A solve ends when its residual is at most this part of the first. A gradient need not be spread more exactly: what is left
+/// makes P another one, nearly as smooth.
+const TOLERANCE: f64 = 0.05;
 
-/// The rounds that [`TOLERANCE`] takes for eigenvalues in `[1 − rho, 1 + rho]`: an even number up to [`ROUNDS`].
-fn rounds(rho: f64) -> usize {
-    let root = ((1.0 + rho) / (1.0 - rho)).sqrt();
-    let shrink = (root - 1.0) / (root + 1.0);
-    let fits = |k: &usize| 2.0 * shrink.powi(*k as i32) <= TOLERANCE;
-    (2..ROUNDS).step_by(2).find(fits).unwrap_or(ROUNDS)
+/// Where the eigenvalues of the scaled matrix `D^{-1/2} (I + λL) D^{-1/2}` lie, D the diagonal.
+#[derive(Clone, Copy, Debug)]
+pub struct Spectrum {
+    low: f64,
+    high: f64,
 }
 
-/// The factors `(momentum, gain)` of `rounds` Chebyshev steps for eigenvalues in `[1 − rho, 1 + rho]`.
-fn chebyshev(rho: f64, rounds: usize) -> Vec<(f64, f64)> {
-    // Without edges the scaled matrix is the identity, and one step is all.
-    let delta = rho.max(1e-9);
-    let sigma = 1.0 / delta;
-    let mut last = delta;
-    let mut factors = vec![(0.0, 1.0)];
-    while factors.len() < rounds {
-        let next = 1.0 / (2.0 * sigma - last);
-        factors.push((next * last, 2.0 * next / delta));
-        last = next;
+impl Spectrum {
+    /// Rounds of the power iteration, and what is added to its result: it ends below the largest eigenvalue, and above that
+    /// one the polynomial would not be bounded.
+    const POWER_ROUNDS: usize = 40;
+    const MARGIN: f64 = 1.05;
+
+    /// Of the adjacency in compressed rows.
+    ///
+    /// `high` by power iteration, at most `1 + ρ`, which Gershgorin allows (`ρ = λd / (1 + λd)` with the largest degree d).
+    /// `low` is the Rayleigh quotient of the field that is the same everywhere, which L does not see: the least eigenvalue
+    /// lies a little below, where a vertex has more neighbours than most; fields there are spread a little less, no more.
+    pub fn new(starts: &[u32], neighbours: &[u32], lambda: f64) -> Self {
+        let n = starts.len() - 1;
+        let row = |i: usize| &neighbours[starts[i] as usize..starts[i + 1] as usize];
+        let diagonal: Vec<f64> = (0..n).map(|i| 1.0 + lambda * row(i).len() as f64).collect();
+        let low = n as f64 / diagonal.iter().sum::<f64>();
+        let rho = diagonal.iter().map(|d| 1.0 - 1.0 / d).fold(0.0, f64::max);
+        // Neighbours with opposite signs come nearest to the largest eigenvalue; any start that is not smooth will do.
+        let mut x: Vec<f64> = (0..n).map(|i| (i as f64 * 2.399).sin()).collect();
+        let mut largest = 1.0;
+        for _ in 0..Self::POWER_ROUNDS {
+            let scaled: Vec<f64> = x.iter().zip(&diagonal).map(|(x, d)| x / d.sqrt()).collect();
+            let around = |i: usize| row(i).iter().map(|&j| scaled[j as usize]).sum::<f64>();
+            let next: Vec<f64> = (0..n).map(|i| x[i] - lambda * around(i) / diagonal[i].sqrt()).collect();
+            let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
+            largest = norm(&next) / norm(&x).max(1e-300);
+            x = next.iter().map(|y| y / norm(&next).max(1e-300)).collect();
+        }
+        Self { low, high: (Self::MARGIN * largest).clamp(low, 1.0 + rho) }
     }
-    factors
-}
 
-/// ρ of the contract.
-fn radius(starts: &[u32], lambda: f64) -> f64 {
-    let degree = starts.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0);
-    let weight = lambda * f64::from(degree);
-    weight / (1.0 + weight)
+    /// The rounds that [`TOLERANCE`] takes: an even number up to [`ROUNDS`].
+    fn rounds(self) -> usize {
+        let root = (self.high / self.low).sqrt();
+        let shrink = (root - 1.0) / (root + 1.0);
+        let fits = |k: &usize| 2.0 * shrink.powi(*k as i32) <= TOLERANCE;
+        (2..ROUNDS).step_by(2).find(fits).unwrap_or(ROUNDS)
+    }
+
+    /// The factors `(momentum, gain)` of `rounds` Chebyshev steps.
+    fn chebyshev(self, rounds: usize) -> Vec<(f64, f64)> {
+        let middle = 0.5 * (self.high + self.low);
+        // Without edges the scaled matrix is the identity, and one step is all.
+        let half = (0.5 * (self.high - self.low)).max(1e-9);
+        let sigma = middle / half;
+        let mut last = 1.0 / sigma;
+        let mut factors = vec![(0.0, 1.0 / middle)];
+        while factors.len() < rounds {
+            let next = 1.0 / (2.0 * sigma - last);
+            factors.push((next * last, 2.0 * next / half));
+            last = next;
+        }
+        factors
+    }
 }
 
 #[cfg(test)]

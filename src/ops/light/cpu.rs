@@ -3,8 +3,8 @@
 use super::{Light, WRAP};
 use crate::ops::Real;
 
-/// `shade(n)` for a normal of any length.
-pub fn shade<T: Real>(light: &Light, n: [T; 3]) -> [T; 3] {
+/// The lamp's part of `shade(n)`, for a normal of any length.
+pub fn lamp<T: Real>(light: &Light, n: [T; 3]) -> T {
     let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
     let cosine = if length > T::zero() {
         let d = light.direction.map(|x| T::of(x.into()));
@@ -13,7 +13,12 @@ pub fn shade<T: Real>(light: &Light, n: [T; 3]) -> [T; 3] {
         T::of(-1.0)
     };
     let wrap = T::of(WRAP.into());
-    let lamp = ((cosine + wrap) / (T::one() + wrap)).max(T::zero());
+    ((cosine + wrap) / (T::one() + wrap)).max(T::zero())
+}
+
+/// `shade(n)`, for a normal of any length.
+pub fn shade<T: Real>(light: &Light, n: [T; 3]) -> [T; 3] {
+    let lamp = lamp(light, n);
     std::array::from_fn(|k| T::of(light.ambient[k].into()) + T::of(light.strength[k].into()) * lamp)
 }
 
@@ -27,12 +32,18 @@ pub fn apply<T: Real>(light: &Light, normals: &[T], values: &[T]) -> Vec<T> {
     .collect()
 }
 
-/// `[V, 3]`: the sum of the normals of the faces at each vertex.
+/// `[V, 3]`: the sum of the normals of the faces at each vertex, made unit; zero where there is none.
 pub fn vertex_normals<T: Real>(faces: &[[u32; 3]], face_normals: &[T], n_vertices: usize) -> Vec<T> {
     let mut sums = vec![T::zero(); 3 * n_vertices];
     for (f, face) in faces.iter().enumerate() {
         for &v in face {
             (0..3).for_each(|k| sums[3 * v as usize + k] += face_normals[3 * f + k]);
+        }
+    }
+    for n in sums.as_chunks_mut::<3>().0 {
+        let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+        if length > T::zero() {
+            n.iter_mut().for_each(|x| *x /= length);
         }
     }
     sums

@@ -8,20 +8,21 @@
 //!
 //! | buffer | shape | role |
 //! |---|---|---|
-//! | `normals` | `[P, 3]` | of any length; one without length is shaded by the ambient light alone |
-//! | `count` | `[1]` u32 | how many of the `P` rows are used, on the device |
-//! | `values`, `shaded` | `[P, 3]` | `shaded = values · shade(normals)`, overwritten or added to |
+//! | `normals` | `[R, 3]` | of any length; one without length is shaded by the ambient light alone |
+//! | `lamps` | `[R]` | the lamp's part of the shade, `max(0, …)` of the formula; overwritten |
+//! | `count` | `[1]` u32 | how many rows are used, on the device |
+//! | `values`, `shaded` | `[R, 3]` | `shaded = values · (ambient + strength · lamps)`, overwritten or added to |
 //!
 //! Linear in `values` and diagonal, so the backward pass by `values` is the same product on gradients. There is no gradient
 //! by the normals: shading shall explain the light, and must not bend the mesh to paint stripes.
 //!
-//! [`Shading::vertex_normals`] sums face normals (twice the area long) at each vertex, [`Shading::pixel_normals`] interpolates
-//! them to listed pixels as [`super::interpolate`] does with coordinates.
+//! [`Shading::vertex_normals`] sums face normals (twice the area long) at each vertex and makes the sums unit,
+//! [`Shading::pixel_lamps`] interpolates those to listed pixels as [`super::interpolate`] does with coordinates.
 
 pub mod cpu;
 mod gpu;
 
-pub use gpu::{Shading, Write};
+pub use gpu::{ShadedRows, Shading, Write};
 
 /// How far the lamp reaches round the body, as the cosine beyond the terminator.
 pub const WRAP: f32 = 0.3;

@@ -1,4 +1,4 @@
-use super::{Light, Shading, Write, cpu};
+use super::{Light, ShadedRows, Shading, Write, cpu};
 use crate::ops::Topology;
 use crate::ops::interpolate::{Interpolate, Sampling};
 use crate::ops::testing::{assert_close, assert_gradient, gpu};
@@ -52,10 +52,12 @@ fn gpu_matches_the_twin() {
     let shading = Shading::new(&gpu, &Topology::new(4, &FACES));
     let [n, v] = [&normals, &values].map(|x| gpu.upload("x", x));
     let (over, add) = (gpu.upload("over", &[9.0f32; 300]), gpu.upload("add", &[1.0f32; 300]));
-    let count = gpu.upload("count", &[90u32]);
+    let (count, lamps) = (gpu.upload("count", &[90u32]), gpu.zeros::<f32>("lamps", 100));
+    let rows = ShadedRows::Counted(&count, 100);
     let mut recorder = gpu.recorder("light/test");
-    shading.apply(&mut recorder, &LIGHT, &n, &count, 100, &v, &over, Write::Over);
-    shading.apply(&mut recorder, &LIGHT, &n, &count, 100, &v, &add, Write::Add);
+    shading.lamps(&mut recorder, &LIGHT, &n, &lamps);
+    shading.apply(&mut recorder, &LIGHT, rows, &lamps, &v, &over, Write::Over);
+    shading.apply(&mut recorder, &LIGHT, rows, &lamps, &v, &add, Write::Add);
     recorder.submit().unwrap();
     let want = cpu::apply(&LIGHT, &normals[..270], &values[..270]);
     let over = gpu.read(&over).unwrap();
@@ -66,31 +68,34 @@ fn gpu_matches_the_twin() {
 }
 
 #[test]
-fn normals_of_vertices_and_pixels_match_the_twin() {
-    let Some(gpu) = gpu("light::normals_of_vertices_and_pixels_match_the_twin") else { return };
-    let shading = Shading::new(&gpu, &Topology::new(4, &FACES));
+fn light_on_vertices_and_pixels_matches_the_twin() {
+    let Some(gpu) = gpu("light::light_on_vertices_and_pixels_matches_the_twin") else { return };
+    // The last vertex belongs to no face.
+    let shading = Shading::new(&gpu, &Topology::new(5, &FACES));
     let face_normals: Vec<f32> = vec![0.0, 0.2, -1.0, 0.5, 0.0, -2.0];
-    let (on_faces, on_vertices) = (gpu.upload("face_normals", &face_normals), gpu.zeros::<f32>("vertex_normals", 12));
+    let (on_faces, on_vertices) = (gpu.upload("face_normals", &face_normals), gpu.zeros::<f32>("vertex_normals", 15));
     let pix_to_face = gpu.upload("pix_to_face", &[-1i32, 1, 0, -1]);
     let bary: Vec<f32> = vec![0.0, 0.0, 0.0, 0.2, 0.3, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let bary_coords = gpu.upload("bary", &bary);
     let faces = gpu.upload("faces", FACES.as_flattened());
     let list = Interpolate::new(&gpu, 4, 4);
-    let (texcoords, normals) = (gpu.zeros::<f32>("texcoords", 12), gpu.zeros::<f32>("normals", 12));
+    let (texcoords, lamps) = (gpu.zeros::<f32>("texcoords", 12), gpu.zeros::<f32>("lamps", 4));
+    let values: Vec<f32> = (1..=12).map(|k| k as f32 * 0.1).collect();
+    let (values, shaded) = (gpu.upload("values", &values), gpu.upload("shaded", &[9.0f32; 12]));
     let mut recorder = gpu.recorder("light/test");
     shading.vertex_normals(&mut recorder, &on_faces, &on_vertices);
     list.forward(&mut recorder, 4, &pix_to_face, &bary_coords, &faces, &texcoords, Sampling::ALL);
-    shading.pixel_normals(&mut recorder, &list, 4, &pix_to_face, &bary_coords, &faces, &on_vertices, &normals);
+    shading.pixel_lamps(&mut recorder, &LIGHT, &list, 4, &pix_to_face, &bary_coords, &faces, &on_vertices, &lamps);
+    shading.apply(&mut recorder, &LIGHT, ShadedRows::Listed(&list, 4), &lamps, &values, &shaded, Write::Over);
     recorder.submit().unwrap();
-    let want = cpu::vertex_normals(&FACES, &face_normals, 4);
+    let want = cpu::vertex_normals(&FACES, &face_normals, 5);
     assert_close("vertex_normals", &gpu.read(&on_vertices).unwrap(), &want, 1e-6);
-    let unit = |v: usize| {
-        let n = &want[3 * v..3 * v + 3];
-        let length = n.iter().map(|x| x * x).sum::<f32>().sqrt();
-        [n[0] / length, n[1] / length, n[2] / length]
-    };
-    let ours = gpu.read(&normals).unwrap();
+    let unit = |v: usize| [want[3 * v], want[3 * v + 1], want[3 * v + 2]];
     let second: [f32; 3] = std::array::from_fn(|k| 0.2 * unit(2)[k] + 0.3 * unit(1)[k] + 0.5 * unit(3)[k]);
-    assert_close("the second pixel", &ours[..3], &second, 1e-6);
-    assert_close("the third pixel", &ours[3..6], &unit(0), 1e-6);
+    let lamps = gpu.read(&lamps).unwrap();
+    assert_close("lamps", &lamps[..2], &[cpu::lamp(&LIGHT, second), cpu::lamp(&LIGHT, unit(0))], 1e-6);
+    let products = cpu::apply(&LIGHT, &[second, unit(0)].concat(), &[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
+    let shaded = gpu.read(&shaded).unwrap();
+    assert_close("shaded", &shaded[..6], &products, 1e-6);
+    assert_eq!(shaded[6..], [9.0; 6], "rows behind the list stay");
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder, linear_groups};
 use crate::ops::reduce::Sum;
-use crate::ops::{LossSlot, Target};
+use crate::ops::{LossSlot, PixelList, Target};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -22,6 +22,7 @@ pub struct RgbL1 {
     // [packed][weighted]
     forward: [[Arc<Kernel>; 2]; 2],
     backward: [[Arc<Kernel>; 2]; 2],
+    // [packed][listed]
     both: [[Arc<Kernel>; 2]; 2],
     sum: Sum,
     values: Buffer<f32>,
@@ -29,12 +30,14 @@ pub struct RgbL1 {
 
 impl RgbL1 {
     pub fn new(gpu: &Gpu, max_pixels: usize) -> Self {
-        let constants = [false, true].map(|packed| {
-            [false, true].map(|weighted| [("PACKED", packed.to_string()), ("WEIGHTED", weighted.to_string())])
-        });
-        let forward = constants.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/forward", c)));
-        let backward = constants.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/backward", c)));
-        let both = constants.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/both", c)));
+        let constants = |second: &'static str| {
+            [false, true]
+                .map(|packed| [false, true].map(|on| [("PACKED", packed.to_string()), (second, on.to_string())]))
+        };
+        let (weighted, listed) = (constants("WEIGHTED"), constants("LISTED"));
+        let forward = weighted.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/forward", c)));
+        let backward = weighted.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/backward", c)));
+        let both = listed.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/both", c)));
         Self { forward, backward, both, sum: Sum::new(gpu), values: gpu.zeros("rgb_l1/values", max_pixels) }
     }
 
@@ -52,7 +55,7 @@ impl RgbL1 {
         loss: LossSlot<'_>,
     ) {
         assert!(n_pixels <= self.values.len(), "rgb_l1: {n_pixels} pixels");
-        self.record(recorder, &self.forward, n_pixels, image, target, weights, 1.0, &[&self.values]);
+        self.record(recorder, &self.forward, n_pixels, image, target, weights, 1.0, &self.values);
         self.sum.add(recorder, &self.values, n_pixels, loss);
     }
 
@@ -72,10 +75,11 @@ impl RgbL1 {
         grad_image: &Buffer<f32>,
     ) {
         assert!(grad_image.len() >= n_pixels * 3, "{}: length", grad_image.label());
-        self.record(recorder, &self.backward, n_pixels, image, target, weights, lambda, &[grad_image]);
+        self.record(recorder, &self.backward, n_pixels, image, target, weights, lambda, grad_image);
     }
 
-    /// Records the loss and `grad_image = λ ∂L/∂image` in one pass; what `grad_image` held is lost.
+    /// Records the loss of all pixels, or of `pixels` alone, and `grad_image = λ ∂L/∂image` in one pass; what `grad_image`
+    /// held is lost.
     ///
     /// # Panics
     /// As `forward` and `backward`.
@@ -86,15 +90,28 @@ impl RgbL1 {
         n_pixels: usize,
         image: &Buffer<f32>,
         target: Target<'_>,
-        weights: Option<&Buffer<f32>>,
+        pixels: Option<&PixelList>,
         loss: LossSlot<'_>,
         lambda: f32,
         grad_image: &Buffer<f32>,
     ) {
         assert!(n_pixels <= self.values.len(), "rgb_l1: {n_pixels} pixels");
         assert!(grad_image.len() >= n_pixels * 3, "{}: length", grad_image.label());
-        self.record(recorder, &self.both, n_pixels, image, target, weights, lambda, &[&self.values, grad_image]);
-        self.sum.add(recorder, &self.values, n_pixels, loss);
+        let n_rows = pixels.map_or(n_pixels, PixelList::len);
+        if pixels.is_some() {
+            recorder.clear(grad_image);
+        }
+        if n_rows == 0 {
+            return;
+        }
+        assert!(image.len() >= n_pixels * 3, "{}: length", image.label());
+        let kernel = &self.both[usize::from(target.is_packed())][usize::from(pixels.is_some())];
+        let seen = target.buffer(n_pixels, 3);
+        // Without a list the kernel reads nothing there.
+        let listed: &dyn AnyBuffer = pixels.map_or(seen, |pixels| &pixels.index);
+        let buffers: [&dyn AnyBuffer; 5] = [image, seen, listed, &self.values, grad_image];
+        recorder.dispatch(kernel, &params(n_rows, target, lambda), &buffers, linear_groups(n_rows, 64));
+        self.sum.add(recorder, &self.values, n_rows, loss);
     }
 
     #[expect(clippy::too_many_arguments, reason = "what both passes share")]
@@ -107,21 +124,24 @@ impl RgbL1 {
         target: Target<'_>,
         weights: Option<&Buffer<f32>>,
         lambda: f32,
-        out: &[&dyn AnyBuffer],
+        out: &Buffer<f32>,
     ) {
         assert!(image.len() >= n_pixels * 3, "{}: length", image.label());
         assert!(weights.is_none_or(|w| w.len() >= n_pixels), "rgb_l1: length of weights");
-        let params = Params {
-            n_pixels: n_pixels as u32,
-            offset: target.offset(),
-            background: target.background().unwrap_or_default(),
-            composite: if target.background().is_some() { 1.0 } else { 0.0 },
-            lambda,
-            unused: 0,
-        };
         let kernel = &kernels[usize::from(target.is_packed())][usize::from(weights.is_some())];
         // Without weights the kernel reads nothing there.
-        let read: [&dyn AnyBuffer; 3] = [image, target.buffer(n_pixels, 3), weights.unwrap_or(image)];
-        recorder.dispatch(kernel, &params, &[&read[..], out].concat(), linear_groups(n_pixels, 64));
+        let buffers: [&dyn AnyBuffer; 4] = [image, target.buffer(n_pixels, 3), weights.unwrap_or(image), out];
+        recorder.dispatch(kernel, &params(n_pixels, target, lambda), &buffers, linear_groups(n_pixels, 64));
+    }
+}
+
+fn params(n_rows: usize, target: Target<'_>, lambda: f32) -> Params {
+    Params {
+        n_pixels: n_rows as u32,
+        offset: target.offset(),
+        background: target.background().unwrap_or_default(),
+        composite: if target.background().is_some() { 1.0 } else { 0.0 },
+        lambda,
+        unused: 0,
     }
 }

@@ -1,7 +1,10 @@
-// normals[k] = Σ_c bary_coords[pixel, c] · unit vertex normal of corner c, for pixel = pixel_index[k].
+// lamps[k] = the lamp's part of the shade of Σ_c bary_coords[pixel, c] · vertex normal of corner c, for
+// pixel = pixel_index[k].
+#import shared/lamp
 #import shared/linear_index
 
 struct Params {
+    lamp: Lamp,
     n_max: u32,
 }
 
@@ -11,8 +14,8 @@ struct Params {
 @group(0) @binding(3) var<storage, read> pix_to_face: array<i32>; // [H, W]
 @group(0) @binding(4) var<storage, read> bary_coords: array<f32>; // [H, W, 3]
 @group(0) @binding(5) var<storage, read> faces: array<u32>; // [F, 3]
-@group(0) @binding(6) var<storage, read> vertex_normals: array<f32>; // [V, 3]
-@group(0) @binding(7) var<storage, read_write> normals: array<f32>; // [P, 3]
+@group(0) @binding(6) var<storage, read> vertex_normals: array<f32>; // [V, 3], unit
+@group(0) @binding(7) var<storage, read_write> lamps: array<f32>; // [P]
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -22,13 +25,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     }
     let pixel = pixel_index[k];
     let face = 3u * u32(pix_to_face[pixel]);
-    var sum = vec3(0.0);
+    var normal = vec3(0.0);
     for (var c = 0u; c < 3u; c++) {
         let v = 3u * faces[face + c];
-        let n = vec3(vertex_normals[v], vertex_normals[v + 1u], vertex_normals[v + 2u]);
-        sum += bary_coords[3u * pixel + c] * n / max(length(n), 1e-20);
+        normal += bary_coords[3u * pixel + c] * vec3(vertex_normals[v], vertex_normals[v + 1u], vertex_normals[v + 2u]);
     }
-    normals[3u * k] = sum.x;
-    normals[3u * k + 1u] = sum.y;
-    normals[3u * k + 2u] = sum.z;
+    lamps[k] = lamp_at(params.lamp, normal);
 }
