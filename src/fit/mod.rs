@@ -119,10 +119,11 @@ pub fn with_step<R>(
     let inputs = Inputs { body, topology, capture, camera, config };
     let mut work = StageWork::new(&scene, &inputs, state)?;
     work.start_phase(phase)?;
+    let trust = vec![1.0; capture.frames.len()];
     let mut number = 0;
     with(&mut || {
         number += 1;
-        work.step(&Step { phase, frames, rate: 0.0, number })?;
+        work.step(&Step { phase, frames, trust: &trust, rate: 0.0, number })?;
         Ok(gpu.wait()?)
     })
 }

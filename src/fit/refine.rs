@@ -65,7 +65,7 @@ pub fn refine_pose(
             number += 1;
             // Down to a tenth, as in a fit.
             let rate = 0.1f32.powf(number as f32 / all as f32);
-            work.step(&Step { phase, frames: &[0], rate, number })?;
+            work.step(&Step { phase, frames: &[0], trust: &[1.0], rate, number })?;
             state.step = number;
         }
     }

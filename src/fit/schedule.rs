@@ -19,6 +19,8 @@ pub(super) struct Step<'a> {
     pub phase: &'a Phase,
     /// The frames that the step looks at.
     pub frames: &'a [usize],
+    /// `[N]`: what each frame of the clip counts, see [`trust`].
+    pub trust: &'a [f32],
     /// Factor on all learning rates: the phase's, and the decay over the stage.
     pub rate: f32,
     /// From 1 on, over the whole stage.
@@ -67,17 +69,22 @@ pub(super) fn run(
         work.start_phase(phase)?;
         for epoch in 0..phase.epochs {
             let mut rng = epoch_rng(config.seed, state.stage, nth, epoch);
-            let order = match config.frame_sampling {
-                FrameSampling::Uniform => shuffled((0..n_frames).collect(), &mut rng),
-                FrameSampling::ByError => shuffled(sampled(work.losses().frame_errors(), &mut rng), &mut rng),
+            let (order, trust) = match config.frame_sampling {
+                FrameSampling::Uniform => ((0..n_frames).collect(), vec![1.0; n_frames]),
+                FrameSampling::ByError => {
+                    let errors = work.losses().frame_errors();
+                    let trust = trust(errors);
+                    (sampled(errors, &trust, &mut rng), trust)
+                }
             };
+            let order = shuffled(order, &mut rng);
             for frames in order.chunks(config.batch) {
                 number += 1;
                 if number <= state.step {
                     continue;
                 }
                 let rate = phase.rate * decay(number, steps);
-                work.step(&Step { phase, frames, rate, number })?;
+                work.step(&Step { phase, frames, trust: &trust, rate, number })?;
                 work.losses().count(frames);
                 state.step = number;
                 after_step(scene, work, state, steps, &mut pace, outside)?;
@@ -99,12 +106,39 @@ fn shuffled(mut order: Vec<usize>, rng: &mut Pcg32) -> Vec<usize> {
     order
 }
 
-/// As many frames as there are, each as often as its error is of the mean, bounded to half and twice (systematic
-/// sampling). Frames without an error count as the mean, so the first epoch after a resumption sees each once.
-fn sampled(errors: &[Option<f32>], rng: &mut Pcg32) -> Vec<usize> {
+/// How many robust standard deviations an error may lie above the median before it says that the frame cannot be explained,
+/// and the least deviation that counts, over the median.
+const OUTLIER_SIGMAS: f32 = 3.0;
+const MIN_DEVIATION: f32 = 0.15;
+
+/// `[N]`: 1 for a frame whose error is like the others', less for one that stands out: a mask that caught somebody else, a
+/// blurred picture, an arm before the face. The fit cannot explain it, and its gradient would bend what all frames share.
+/// It falls with the square of the error, as the weights of Geman and McClure do in the end. Frames without an error count
+/// whole.
+fn trust(errors: &[Option<f32>]) -> Vec<f32> {
+    let middle = |mut values: Vec<f32>| {
+        values.sort_by(f32::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(0.0)
+    };
     let known: Vec<f32> = errors.iter().flatten().copied().collect();
-    let mean = (known.iter().sum::<f32>() / known.len().max(1) as f32).max(f32::MIN_POSITIVE);
-    let weights: Vec<f32> = errors.iter().map(|e| e.map_or(1.0, |e| (e / mean).clamp(0.5, 2.0))).collect();
+    let median = middle(known.clone());
+    // For normally distributed errors this is their standard deviation.
+    let deviation = 1.4826 * middle(known.iter().map(|e| (e - median).abs()).collect());
+    let limit = median + OUTLIER_SIGMAS * deviation.max(MIN_DEVIATION * median);
+    let of = |error: f32| if error > limit { (limit / error).powi(2) } else { 1.0 };
+    errors.iter().map(|e| e.map_or(1.0, of)).collect()
+}
+
+/// As many frames as there are, each as often as its error is of the mean, bounded to half and twice (systematic
+/// sampling). Frames that cannot be explained come as rarely as the best: looking at them again teaches nothing. Frames
+/// without an error count as the mean, so the first epoch after a resumption sees each once.
+fn sampled(errors: &[Option<f32>], trust: &[f32], rng: &mut Pcg32) -> Vec<usize> {
+    let trusted = || errors.iter().zip(trust).filter(|(_, trust)| **trust == 1.0).filter_map(|(error, _)| *error);
+    let mean = (trusted().sum::<f32>() / trusted().count().max(1) as f32).max(f32::MIN_POSITIVE);
+    let weight = |(error, &trust): (&Option<f32>, &f32)| {
+        if trust < 1.0 { 0.5 } else { error.map_or(1.0, |e| (e / mean).clamp(0.5, 2.0)) }
+    };
+    let weights: Vec<f32> = errors.iter().zip(trust).map(weight).collect();
     let step = weights.iter().sum::<f32>() / weights.len() as f32;
     let mut next = step * rng.random::<f32>();
     let (mut frames, mut sum) = (Vec::with_capacity(errors.len()), 0.0);
@@ -174,21 +208,36 @@ mod tests {
     fn frames_with_large_errors_come_more_often() {
         let mut rng = epoch_rng(7, Stage::Geometry, 0, 0);
         assert_eq!(
-            sampled(&[None; 9], &mut rng),
+            sampled(&[None; 9], &[1.0; 9], &mut rng),
             (0..9).collect::<Vec<_>>(),
             "every frame once while nothing is known"
         );
-        let mut errors = vec![Some(1.0); 10];
-        errors[3] = Some(50.0);
-        errors[7] = Some(0.0);
+        let errors: Vec<Option<f32>> = (0..10).map(|k| Some(0.2 + 0.2 * k as f32)).collect();
+        let trust = trust(&errors);
+        assert_eq!(trust, [1.0; 10], "errors that spread are no outliers");
         let mut counts = [0u32; 10];
         for _ in 0..1000 {
-            let frames = sampled(&errors, &mut rng);
+            let frames = sampled(&errors, &trust, &mut rng);
             assert_eq!(frames.len(), 10);
             frames.iter().for_each(|&f| counts[f] += 1);
         }
-        assert!(counts[3] > 3 * counts[7] && counts[3] < 5 * counts[7], "{counts:?}");
-        assert!(counts.iter().all(|&n| n > 500), "no frame is forgotten: {counts:?}");
+        assert!(counts[9] > 3 * counts[0] && counts[9] < 5 * counts[0], "{counts:?}");
+        assert!(counts.iter().all(|&n| n > 400), "no frame is forgotten: {counts:?}");
+    }
+
+    #[test]
+    fn frames_that_cannot_be_explained_count_less_and_come_rarely() {
+        let mut errors: Vec<Option<f32>> = (0..20).map(|k| Some(1.0 + 0.02 * (k % 5) as f32)).collect();
+        (errors[3], errors[7], errors[11]) = (Some(3.0), Some(1.4), None);
+        let trust = trust(&errors);
+        assert!(trust[3] < 0.3, "{trust:?}");
+        assert!(trust.iter().enumerate().all(|(k, &t)| k == 3 || t == 1.0), "{trust:?}");
+        let mut rng = epoch_rng(7, Stage::Geometry, 0, 0);
+        let mut counts = [0u32; 20];
+        (0..1000).for_each(|_| sampled(&errors, &trust, &mut rng).into_iter().for_each(|f| counts[f] += 1));
+        assert!((400..700).contains(&counts[3]) && counts[7] > 1200, "{counts:?}");
+        assert_eq!(super::trust(&[None; 3]), [1.0; 3]);
+        assert!(super::trust(&[Some(0.0), Some(0.0), Some(1.0)])[2] < 1.0, "whatever stands out of nothing");
     }
 
     #[test]

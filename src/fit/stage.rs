@@ -132,6 +132,7 @@ impl Work for StageWork<'_> {
         self.look.start_step(&mut recorder, scene);
         for &frame in step.frames {
             let level = &scene.frames[frame].levels[step.phase.level];
+            let part = part * step.trust[frame];
             let frame = FrameStep { frame, level, phase: step.phase, weights, part, number: step.number };
             self.record_frame(&mut recorder, &frame);
         }
