@@ -16,6 +16,7 @@ pub mod npz;
 pub mod ops;
 pub mod page;
 pub mod quality;
+pub mod robustness;
 pub mod storage;
 pub mod study;
 pub mod webhooks;

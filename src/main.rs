@@ -25,6 +25,8 @@ enum Command {
     Synth(cli::synth::Args),
     /// Measure the paper's claims and write docs/results.md.
     Study(cli::study::Args),
+    /// Fit spoiled versions of a clip and write docs/robustness.md.
+    Robustness(cli::robustness::Args),
     /// Time the operators on this device.
     Bench(cli::bench::Args),
     /// Run the service: the API and its worker.
@@ -56,6 +58,7 @@ fn main() -> anyhow::Result<()> {
         Command::Eval(args) => cli::eval::run(args),
         Command::Synth(args) => cli::synth::run(args),
         Command::Study(args) => cli::study::run(args),
+        Command::Robustness(args) => cli::robustness::run(args),
         Command::Bench(args) => cli::bench::run(args),
         Command::Serve(args) => cli::serve::run(args),
         Command::Worker(args) => cli::worker::run(args),

@@ -30,21 +30,26 @@ pub enum Quality {
     Playable,
     /// 4:4:4, nearly lossless.
     Fine,
+    /// 4:2:0 at so many kilobits a second; needs even sides.
+    Rate(u32),
 }
 
 impl VideoWriter {
     /// Starts FFmpeg; `path` is overwritten.
     pub fn create(path: &Path, size: (u32, u32), fps: f64, quality: Quality) -> Result<Self, VideoError> {
-        let (format, crf) = match quality {
-            Quality::Playable => ("yuv420p", "18"),
-            Quality::Fine => ("yuv444p", "12"),
+        let (format, rate) = match quality {
+            Quality::Playable => ("yuv420p", ["-crf".to_owned(), "18".to_owned()]),
+            Quality::Fine => ("yuv444p", ["-crf".to_owned(), "12".to_owned()]),
+            Quality::Rate(kilobits) => ("yuv420p", ["-b:v".to_owned(), format!("{kilobits}k")]),
         };
         let input = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s"];
         let child = Command::new("ffmpeg")
             .args(["-v", "error", "-y"])
             .args(input)
             .args([&format!("{}x{}", size.0, size.1), "-r", &fps.to_string(), "-i", "-"])
-            .args(["-c:v", "libx264", "-preset", "medium", "-crf", crf, "-pix_fmt", format, "-movflags", "+faststart"])
+            .args(["-c:v", "libx264", "-preset", "medium"])
+            .args(rate)
+            .args(["-pix_fmt", format, "-movflags", "+faststart"])
             .arg(path)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())

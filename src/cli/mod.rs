@@ -8,6 +8,7 @@ pub mod fit;
 pub mod keys;
 pub mod openapi;
 pub mod render;
+pub mod robustness;
 pub mod serve;
 mod service;
 mod settings;

@@ -11,6 +11,8 @@ pub(super) enum Set {
     Plain,
     /// With places and cameras in our units.
     Scaled,
+    /// With our surface of the frame laid onto the truth's.
+    Aligned,
     /// Scaled, and with refined poses.
     Refined,
 }
@@ -21,6 +23,7 @@ impl Set {
         match self {
             Set::Plain => "",
             Set::Scaled => "scaled",
+            Set::Aligned => "aligned",
             Set::Refined => "refined",
         }
     }
@@ -29,6 +32,7 @@ impl Set {
         match self {
             Set::Plain => "as given:",
             Set::Scaled => "in our scale:",
+            Set::Aligned => "aligned:",
             Set::Refined => "refined:",
         }
     }
@@ -95,6 +99,7 @@ fn means(report: &Report) -> Vec<Vec<String>> {
 fn pictures(page: &mut Page, cards: &Cards) {
     for (set, title) in [
         (Set::Refined, "Novel poses, refined on their pictures"),
+        (Set::Aligned, "Novel views, aligned with the frame's surface"),
         (Set::Scaled, "In our scale"),
         (Set::Plain, "As given"),
     ] {

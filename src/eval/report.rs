@@ -1,6 +1,6 @@
 //! What an evaluation found.
 
-use super::geometry::Distances;
+use super::geometry::{Distances, Similarity};
 
 /// A held-out picture against ours.
 #[derive(Clone, Debug, serde::Serialize)]
@@ -67,6 +67,8 @@ pub struct GeometryScore {
     pub unaligned: Distances,
     /// Of the alignment: truth over ours.
     pub scale: f64,
+    #[serde(skip)]
+    pub alignment: Similarity,
 }
 
 /// Mean distance of the 24 joints over the frames, as they are and with the pelvis joints laid on each other.
@@ -84,6 +86,8 @@ pub struct Summary {
     /// As the two above, in our scale.
     pub scaled_novel_views: Option<ImageMeans>,
     pub scaled_novel_poses: Option<ImageMeans>,
+    /// After the similarity of their frame's surface.
+    pub aligned_novel_views: Option<ImageMeans>,
     /// In our scale, with poses that were refined on the very pictures.
     pub refined_novel_poses: Option<ImageMeans>,
     /// Truth over ours.
@@ -107,7 +111,9 @@ pub struct Report {
     /// As the two above, with places and cameras in our units.
     pub scaled_novel_views: Vec<ImageScore>,
     pub scaled_novel_poses: Vec<ImageScore>,
-    /// As the last, with poses refined against the frozen avatar; empty where that was not asked for.
+    /// As the first, with the avatar moved by the similarity of the frame's surface, where there is one.
+    pub aligned_novel_views: Vec<ImageScore>,
+    /// As the scaled ones, with poses refined against the frozen avatar; empty where that was not asked for.
     pub refined_novel_poses: Vec<ImageScore>,
     pub mask_iou: Vec<FrameIou>,
     pub geometry: Vec<GeometryScore>,
@@ -133,6 +139,7 @@ impl Report {
             novel_poses: ImageMeans::of(&self.novel_poses),
             scaled_novel_views: ImageMeans::of(&self.scaled_novel_views),
             scaled_novel_poses: ImageMeans::of(&self.scaled_novel_poses),
+            aligned_novel_views: ImageMeans::of(&self.aligned_novel_views),
             refined_novel_poses: ImageMeans::of(&self.refined_novel_poses),
             scale: self.scale(),
             mask_iou: mean(&self.mask_iou, |r| r.iou),
@@ -147,12 +154,13 @@ impl Report {
     }
 
     /// The sets of pictures that were compared, with what they are and their rows.
-    pub fn picture_sets(&self) -> [(&'static str, &[ImageScore]); 5] {
+    pub fn picture_sets(&self) -> [(&'static str, &[ImageScore]); 6] {
         [
             ("novel views", &self.novel_views),
             ("novel poses", &self.novel_poses),
             ("novel views, in our scale", &self.scaled_novel_views),
             ("novel poses, in our scale", &self.scaled_novel_poses),
+            ("novel views, aligned", &self.aligned_novel_views),
             ("novel poses, refined", &self.refined_novel_poses),
         ]
     }

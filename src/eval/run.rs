@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::geometry::{Similarity, align, distances};
 use super::image::mask_iou;
@@ -94,6 +94,8 @@ pub fn evaluate(
         report.scaled_novel_views = compare(Set::Scaled, &scaled(&subject.views))?;
         report.scaled_novel_poses = compare(Set::Scaled, &scaled(&subject.poses))?;
     }
+    let aligned: Vec<Novel> = subject.views.iter().filter_map(|n| aligned(n, &report.geometry)).collect();
+    report.aligned_novel_views = compare(Set::Aligned, &aligned)?;
     if options.refine {
         report.refined_novel_poses = compare(Set::Refined, &scaled(&subject.poses))?;
     }
@@ -119,6 +121,20 @@ fn in_our_units(novel: &Novel, scale: f64) -> Novel {
         *pelvis = pelvis.map(|x| (x as f64 / scale) as f32);
     }
     novel
+}
+
+/// The same picture of a world in which our surface of the picture's frame has been laid onto the truth's: what remains is not
+/// the place, the size or the facing. `None` where that frame has no surface.
+fn aligned(novel: &Novel, surfaces: &[GeometryScore]) -> Option<Novel> {
+    let NovelPose::Frame(frame) = novel.pose else { return None };
+    let Similarity { scale, rotation, translation } = surfaces.iter().find(|s| s.frame == frame)?.alignment;
+    // A picture does not tell whether all that it shows is smaller and nearer.
+    let to_view = DMat3::from_cols_array(&novel.camera.rotation).transpose();
+    let shift = (to_view * translation + DVec3::from(novel.camera.translation)) / scale;
+    let mut novel = novel.clone();
+    novel.camera.rotation = (to_view * rotation).transpose().to_cols_array();
+    novel.camera.translation = shift.to_array();
+    Some(novel)
 }
 
 /// The avatar in the picture's pose: as fitted where it is a frame's, in which case the nearest kept frame may stand for it.
@@ -163,6 +179,7 @@ fn geometry(model: &AvatarModel, subject: &Subject, i: usize) -> Result<Option<G
         aligned: distances(&ours, &truth, &alignment),
         unaligned: distances(&ours, &truth, &Similarity::IDENTITY),
         scale: alignment.scale,
+        alignment,
     }))
 }
 

@@ -6,6 +6,7 @@ mod deploy;
 mod doctor;
 mod fit;
 mod import_rule;
+mod robustness;
 mod service;
 mod study;
 mod synth;

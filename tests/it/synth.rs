@@ -82,7 +82,7 @@ fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
         assert!(means.flip > 0.0 && means.flip_foreground.unwrap() > 2.0 * means.flip, "{s:?}");
     }
     let page = std::fs::read_to_string(out.join("eval.html")).unwrap();
-    assert_eq!(page.matches("<img").count(), 8, "four pictures, as given and in our scale");
+    assert_eq!(page.matches("<img").count(), 10, "four pictures, as given and in our scale, and two views aligned");
     assert!(page.contains("view_01: PSNR") && page.contains("pose_00: PSNR"));
     assert!(report.warnings.is_empty());
     for folder in [out.clone(), out.join("scaled")] {
@@ -98,6 +98,9 @@ fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
     assert!((s.joints_cm.unwrap() - 3.0).abs() < 1e-3 && s.joints_root_aligned_cm.unwrap() < 1e-3, "{s:?}");
     assert!(s.unaligned_chamfer_cm.unwrap() > 1.0 && s.chamfer_cm.unwrap() < 0.02, "{s:?}");
     assert!(s.mask_iou.unwrap() < 0.95, "{s:?}");
+    // The avatar is off its place, but not when its surface is laid onto the truth's.
+    let [views, aligned] = [&s.novel_views, &s.aligned_novel_views].map(|m| m.as_ref().unwrap().psnr_db);
+    assert!(aligned > views + 0.3, "{aligned} dB against {views} dB");
 }
 
 #[test]
