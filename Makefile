@@ -3,7 +3,7 @@
 PROFILE_DIR := $(or $(CARGO_TARGET_DIR),target)/debug
 EFFIGY := $(PROFILE_DIR)/effigy
 
-.PHONY: demo test torture results setup build lint body openapi validate-glb
+.PHONY: demo test test-lpips torture results setup build lint body openapi validate-glb
 
 ## The main job for real: server, upload, fit, avatar, renders. CLIP=folder uses your own clip.
 demo: setup build
@@ -23,6 +23,11 @@ torture: setup
 	EFFIGY_TORTURE_CYCLES=200 EFFIGY_TORTURE_JOBS=10000 cargo test --locked --test it service::torture -- --nocapture
 	cargo test --locked --test it service::resume -- --include-ignored --nocapture
 	EFFIGY_TORTURE_STREAMS=5000 cargo test --locked --test it service::hostile::corrupted -- --nocapture
+
+## Lints and tests of the optional feature: LPIPS by a network that the user gives.
+test-lpips: setup
+	cargo clippy --locked --all-targets --features lpips -- -D warnings
+	cargo test --locked --lib --features lpips eval::lpips
 
 ## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, Node.js, CA certificates).
 setup:

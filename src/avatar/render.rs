@@ -153,7 +153,8 @@ impl Renderer {
         self.render_with(spec, |points| self.texture.colours(&self.gpu, points))
     }
 
-    /// As [`Renderer::render`]; sets `seen [F]` for the faces that a sample of the picture shows.
+    /// As [`Renderer::render`]; sets `seen [F]` for the faces that the picture shows: of faces that touch in a pixel, the one
+    /// with most of it.
     ///
     /// # Panics
     /// When `seen` is shorter than the faces.

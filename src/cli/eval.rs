@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use effigy::avatar::{AvatarModel, Renderer};
-use effigy::eval::{EvalOptions, Subject, evaluate};
+use effigy::eval::{EvalOptions, Lpips, Subject, evaluate};
 use effigy::gpu::{DeviceSelect, Gpu};
 
 #[derive(clap::Args)]
@@ -24,6 +24,10 @@ pub struct Args {
     /// Compare novel poses also after refining pose and place on each picture; the avatar itself stands.
     #[arg(long)]
     refine: bool,
+    /// Compare also by LPIPS: a network as ONNX, two pictures [1, 3, height, width] in [−1, 1] in, one number out. Needs a
+    /// build with `--features lpips`.
+    #[arg(long)]
+    lpips: Option<PathBuf>,
 }
 
 pub fn run(args: Args) -> Result<()> {
@@ -33,7 +37,8 @@ pub fn run(args: Args) -> Result<()> {
         std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     }
     let renderer = Renderer::new(&Gpu::open(&DeviceSelect::Auto)?, &Arc::new(model))?;
-    let options = EvalOptions { out: args.out.as_deref(), refine: args.refine };
+    let lpips = args.lpips.as_deref().map(Lpips::load).transpose()?;
+    let options = EvalOptions { out: args.out.as_deref(), refine: args.refine, lpips: lpips.as_ref() };
     let spinner = super::spinner();
     let report = evaluate(&renderer, &subject, &options, |what| spinner.set_message(what.to_owned()))?;
     spinner.finish_and_clear();

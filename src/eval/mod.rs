@@ -3,6 +3,7 @@
 mod flip;
 mod geometry;
 mod image;
+mod lpips;
 mod nearest;
 mod page;
 mod refine;
@@ -15,6 +16,7 @@ mod synth;
 pub use self::flip::{flip, flip_map};
 pub use self::geometry::{Distances, Similarity, align, distances, sample, umeyama};
 pub use self::image::{mask_iou, psnr, psnr_inside, ssim, ssim_inside};
+pub use self::lpips::{Lpips, LpipsError};
 pub use nearest::Surface;
 pub use report::{FrameIou, GeometryScore, ImageMeans, ImageScore, JointScore, Report, Summary};
 pub use run::{EvalError, EvalOptions, evaluate};

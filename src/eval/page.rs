@@ -75,6 +75,7 @@ pub(super) fn html(report: &Report, cards: &Cards) -> String {
         "SSIM, foreground",
         "FLIP",
         "FLIP, foreground",
+        "LPIPS",
     ];
     page.table(&head, &means(report));
     for warning in &report.warnings {
@@ -87,8 +88,8 @@ pub(super) fn html(report: &Report, cards: &Cards) -> String {
 }
 
 fn means(report: &Report) -> Vec<Vec<String>> {
-    let digits = [2, 4, 2, 4, 2, 4, 4, 4];
-    let row = |(name, values): (&str, [Option<f64>; 8])| {
+    let digits = [2, 4, 2, 4, 2, 4, 4, 4, 4];
+    let row = |(name, values): (&str, [Option<f64>; 9])| {
         let cells = values.iter().zip(digits).map(|(v, d)| v.map_or("—".to_owned(), |v| format!("{v:.d$}")));
         std::iter::once(name.to_owned()).chain(cells).collect()
     };

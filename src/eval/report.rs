@@ -17,6 +17,9 @@ pub struct ImageScore {
     /// On white: 0 is none, 1 the most.
     pub flip: f64,
     pub flip_foreground: Option<f64>,
+    /// On white, by the network that was given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f64>,
 }
 
 /// Means over pictures; see [`ImageScore`].
@@ -30,6 +33,9 @@ pub struct ImageMeans {
     pub ssim_foreground: Option<f64>,
     pub flip: f64,
     pub flip_foreground: Option<f64>,
+    /// On white, by the network that was given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lpips: Option<f64>,
 }
 
 impl ImageMeans {
@@ -48,6 +54,7 @@ impl ImageMeans {
             ssim_foreground: some(|r| r.ssim_foreground),
             flip: mean(rows, |r| r.flip)?,
             flip_foreground: some(|r| r.flip_foreground),
+            lpips: some(|r| r.lpips),
         })
     }
 }
@@ -182,13 +189,13 @@ impl Report {
     }
 
     /// Names and means of the sets of pictures that there are: PSNR and SSIM on white, on black and of the foreground, FLIP
-    /// of the picture and of the foreground.
-    pub fn picture_rows(&self) -> Vec<(&'static str, [Option<f64>; 8])> {
+    /// of the picture and of the foreground, LPIPS.
+    pub fn picture_rows(&self) -> Vec<(&'static str, [Option<f64>; 9])> {
         let means = self.picture_sets().into_iter().filter_map(|(name, rows)| Some((name, ImageMeans::of(rows)?)));
         let row = |m: ImageMeans| {
             let on_colours = [m.psnr_db, m.ssim, m.psnr_black_db, m.ssim_black].map(Some);
             let [a, b, c, d] = on_colours;
-            [a, b, c, d, m.psnr_foreground_db, m.ssim_foreground, Some(m.flip), m.flip_foreground]
+            [a, b, c, d, m.psnr_foreground_db, m.ssim_foreground, Some(m.flip), m.flip_foreground, m.lpips]
         };
         means.map(|(name, means)| (name, row(means))).collect()
     }
@@ -207,7 +214,9 @@ impl Report {
             for k in [0, 2, 4] {
                 text += &format!("{:>17}", format!("{} {}", cell(k, 2), cell(k + 1, 4)));
             }
-            text += &format!("{:>17}\n", format!("{} {}", cell(6, 4), cell(7, 4)));
+            text += &format!("{:>17}", format!("{} {}", cell(6, 4), cell(7, 4)));
+            text += &values[8].map_or(String::new(), |v| format!("   LPIPS {v:.4}"));
+            text.push('\n');
         }
         for (name, value, unit, digits) in self.shape_rows() {
             let value = value.map_or("—".to_owned(), |v| format!("{v:.digits$} {unit}"));

@@ -6,6 +6,7 @@ use glam::{DMat3, DVec3};
 
 use super::geometry::{Similarity, align, distances};
 use super::image::mask_iou;
+use super::lpips::{Lpips, LpipsError};
 use super::page::{self, Cards, Set};
 use super::refine::refined;
 use super::report::{FrameIou, GeometryScore, ImageScore, JointScore, Report};
@@ -18,12 +19,14 @@ use crate::fit::FitError;
 const SAMPLES: u32 = 4;
 
 /// What an evaluation does besides the figures.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Default)]
 pub struct EvalOptions<'a> {
     /// Folder for `eval.html` and for a picture of every novel one: truth, ours, absolute error.
     pub out: Option<&'a Path>,
     /// Compare novel poses also after refining them on their pictures.
     pub refine: bool,
+    /// A network for LPIPS.
+    pub lpips: Option<&'a Lpips>,
 }
 
 /// Why an evaluation stopped.
@@ -33,6 +36,8 @@ pub enum EvalError {
     Subject(#[from] SubjectError),
     #[error(transparent)]
     Render(#[from] RenderError),
+    #[error(transparent)]
+    Lpips(#[from] LpipsError),
     #[error("refining a pose: {0}")]
     Refine(#[from] FitError),
     #[error(transparent)]
@@ -74,7 +79,7 @@ pub fn evaluate(
                 spec = refined(renderer, novel, spec)?;
             }
             let shot = Shot::draw(renderer, novel, spec)?;
-            let score = shot.score();
+            let score = shot.score(options.lpips)?;
             if let Some(folder) = &folder {
                 let path = folder.join(format!("{}.png", novel.name));
                 let failed = |e: image::ImageError| EvalError::picture(novel, &e);

@@ -4,6 +4,7 @@ use image::{GrayImage, Rgb, RgbImage, RgbaImage};
 
 use super::flip::flip_map;
 use super::image::{psnr, psnr_inside, ssim, ssim_inside};
+use super::lpips::Lpips;
 use super::report::ImageScore;
 use super::run::EvalError;
 use super::subject::Novel;
@@ -38,12 +39,12 @@ impl Shot {
         Ok(Self { name: novel.name.clone(), truth, mask, ours })
     }
 
-    pub fn score(&self) -> ImageScore {
+    pub fn score(&self, lpips: Option<&Lpips>) -> Result<ImageScore, EvalError> {
         let (truth, ours) = self.on(WHITE);
         let (dark_truth, dark_ours) = self.on(BLACK);
         let errors = flip_map(&truth, &ours);
         let inside = errors.iter().zip(self.mask.pixels()).filter(|(_, m)| m.0[0] >= 128).map(|(e, _)| *e);
-        ImageScore {
+        Ok(ImageScore {
             name: self.name.clone(),
             psnr_db: psnr(&truth, &ours),
             ssim: ssim(&truth, &ours),
@@ -53,7 +54,8 @@ impl Shot {
             ssim_foreground: ssim_inside(&truth, &ours, &self.mask),
             flip: mean(errors.iter().copied()).unwrap_or(0.0),
             flip_foreground: mean(inside),
-        }
+            lpips: lpips.map(|network| network.distance(&truth, &ours)).transpose()?,
+        })
     }
 
     /// Both over a colour.

@@ -162,7 +162,7 @@ fn measure(
     let model = Arc::new(AvatarModel::load(&avatar.join("model.npz"))?);
     let pictures = folder.join("eval");
     std::fs::create_dir_all(&pictures)?;
-    let options = EvalOptions { out: Some(&pictures), refine: false };
+    let options = EvalOptions { out: Some(&pictures), ..EvalOptions::default() };
     let report = evaluate(&Renderer::new(gpu, &model)?, &truth, &options, |_| {})?;
     let scaled = report.scale().is_some();
     let choose = |ours: &Option<ImageMeans>, plain: &Option<ImageMeans>| {

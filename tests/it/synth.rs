@@ -71,7 +71,8 @@ fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
     let out = folder.path().join("pictures");
     std::fs::create_dir(&out).unwrap();
     let renderer = Renderer::new(&gpu, &Arc::new(truth.clone())).unwrap();
-    let report = evaluate(&renderer, &subject, &EvalOptions { out: Some(&out), refine: false }, |_| {}).unwrap();
+    let report =
+        evaluate(&renderer, &subject, &EvalOptions { out: Some(&out), ..EvalOptions::default() }, |_| {}).unwrap();
     let s = &report.summary;
     assert!(s.mask_iou.unwrap() > 0.995, "{s:?}");
     assert!(s.chamfer_cm.unwrap() < 1e-3 && s.unaligned_point_to_surface_cm.unwrap() < 1e-3, "{s:?}");
