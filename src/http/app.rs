@@ -9,7 +9,7 @@ use tokio::sync::{Semaphore, watch};
 
 use super::access::Access;
 use super::pace::Pace;
-use super::uploads::Turns;
+use super::uploads::{Leaps, Turns};
 use crate::jobs::render::Renderer;
 use crate::jobs::webhooks::Webhooks;
 use crate::jobs::{Clip, Env, JobOptions, Queue};
@@ -100,6 +100,7 @@ pub struct App {
     pub(super) inspections: Arc<Semaphore>,
     pub(super) keys: Arc<KeyLocks>,
     pub(super) uploads: Arc<Turns>,
+    pub(super) leaps: Arc<Leaps>,
     /// Id of the newest event, and the end of the server: what event streams wait for.
     pub(super) feed: watch::Sender<Feed>,
 }
@@ -133,6 +134,7 @@ impl App {
             inspections,
             keys: Arc::default(),
             uploads: Arc::default(),
+            leaps: Arc::default(),
             feed: watch::Sender::default(),
         }
     }

@@ -1,5 +1,7 @@
 //! Time and chance, injected.
 
+#[cfg(target_os = "linux")]
+use std::sync::OnceLock;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -90,8 +92,19 @@ fn civil_from_days(days: i64) -> (i64, i64, i64) {
     (year_of_era + era * 400 + i64::from(month <= 2), month, day)
 }
 
+/// The time since the machine's start. It passes as time does, sleep included, whatever is done to the wall clock.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Steady {
+    /// Which start that was.
+    pub boot: String,
+    pub ms: i64,
+}
+
 pub trait Clock: Send + Sync + 'static {
     fn now(&self) -> Timestamp;
+
+    /// None where the system does not tell.
+    fn steady(&self) -> Option<Steady>;
 }
 
 /// The machine's wall clock.
@@ -102,25 +115,68 @@ impl Clock for SystemClock {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         Timestamp(since.as_millis() as i64)
     }
+
+    #[cfg(target_os = "linux")]
+    fn steady(&self) -> Option<Steady> {
+        static BOOT: OnceLock<Option<String>> = OnceLock::new();
+        let boot = BOOT.get_or_init(|| {
+            let id = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
+            Some(id.trim().to_string())
+        });
+        let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+        // SAFETY: writes the time into a struct of ours.
+        let told = unsafe { libc::clock_gettime(libc::CLOCK_BOOTTIME, &raw mut time) } == 0;
+        let ms = time.tv_sec * 1000 + time.tv_nsec / 1_000_000;
+        boot.clone().filter(|_| told).map(|boot| Steady { boot, ms })
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    fn steady(&self) -> Option<Steady> {
+        None
+    }
 }
 
 /// A clock that stands still until it is moved.
-pub struct ManualClock(Mutex<Timestamp>);
+pub struct ManualClock(Mutex<Manual>);
+
+struct Manual {
+    now: Timestamp,
+    steady: Steady,
+}
 
 impl ManualClock {
     pub fn new(start: Timestamp) -> Arc<Self> {
-        Arc::new(ManualClock(Mutex::new(start)))
+        Arc::new(ManualClock(Mutex::new(Manual { now: start, steady: Steady { boot: "1".into(), ms: 0 } })))
     }
 
+    /// Time passes.
     pub fn advance(&self, by: Duration) {
-        let mut now = self.0.lock().unwrap();
-        *now = now.plus(by);
+        let mut clock = self.0.lock().unwrap();
+        clock.now = clock.now.plus(by);
+        clock.steady.ms += by.as_millis() as i64;
+    }
+
+    /// Somebody sets the wall clock.
+    pub fn leap(&self, by: Duration, forward: bool) {
+        let now = &mut self.0.lock().unwrap().now;
+        now.0 += by.as_millis() as i64 * if forward { 1 } else { -1 };
+    }
+
+    /// The machine starts anew, with this on its wall clock.
+    pub fn restart(&self, now: Timestamp) {
+        let mut clock = self.0.lock().unwrap();
+        let boot = format!("{}+", clock.steady.boot);
+        *clock = Manual { now, steady: Steady { boot, ms: 0 } };
     }
 }
 
 impl Clock for ManualClock {
     fn now(&self) -> Timestamp {
-        *self.0.lock().unwrap()
+        self.0.lock().unwrap().now
+    }
+
+    fn steady(&self) -> Option<Steady> {
+        Some(self.0.lock().unwrap().steady.clone())
     }
 }
 
@@ -169,6 +225,11 @@ impl Env {
 
     pub fn now(&self) -> Timestamp {
         self.clock.now()
+    }
+
+    /// The time since the machine's start, where the system tells it.
+    pub fn steady(&self) -> Option<Steady> {
+        self.clock.steady()
     }
 
     /// A UUIDv7 of the present moment, greater than all that this environment gave before: ids are the order of jobs.
@@ -239,7 +300,7 @@ mod tests {
         let clock = ManualClock::new(Timestamp(1_700_000_000_000));
         let env = Env::new(clock.clone(), 1);
         let mut ids: Vec<Uuid> = (0..5000).map(|_| env.new_id()).collect();
-        *clock.0.lock().unwrap() = Timestamp(1_600_000_000_000);
+        clock.leap(Duration::from_secs(100_000_000), false);
         ids.extend((0..10).map(|_| env.new_id()));
         assert!(ids.is_sorted_by(|a, b| a < b));
     }

@@ -14,7 +14,7 @@ pub mod render;
 pub mod sqlite;
 pub mod webhooks;
 
-pub use env::{Clock, Env, ManualClock, SystemClock, Timestamp};
+pub use env::{Clock, Env, ManualClock, Steady, SystemClock, Timestamp};
 pub use job::{
     Avatar, AvatarFile, Clip, Event, EventKind, Insertion, Job, JobError, Losses, NewAvatar, NewJob, Part, Remember,
     Remembered, State,

@@ -9,7 +9,7 @@
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use serde::{Deserialize, Serialize};
 use tokio::io::{AsyncSeekExt, AsyncWriteExt, BufWriter};
@@ -20,6 +20,8 @@ use super::{Store, names, sync_dir, write_atomic};
 const BUFFER_BYTES: usize = 1 << 20;
 /// The disk is asked for room before each such stretch.
 const LOOK_BYTES: u64 = 16 << 20;
+/// Clocks of files are coarser than the system's.
+const MARGIN: Duration = Duration::from_secs(1);
 
 /// What a client told of an upload when it began it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -112,6 +114,22 @@ impl Store {
     /// When something last came for an upload.
     pub fn resumable_touched(&self, id: Uuid) -> io::Result<SystemTime> {
         self.resumable_data(id).metadata()?.modified()
+    }
+
+    /// The wall clock has leapt to `now`: what was last touched before that moves along, so that its age stays.
+    pub fn move_resumables(&self, leap_ms: i64, now: SystemTime) -> io::Result<()> {
+        let leap = Duration::from_millis(leap_ms.unsigned_abs());
+        for id in self.resumable_ids()? {
+            let data = fs::File::options().write(true).open(self.resumable_data(id))?;
+            let touched = data.metadata()?.modified()?;
+            // What has come since the leap has the new clock's time already.
+            match leap_ms > 0 {
+                true if touched + leap <= now + MARGIN => data.set_modified(touched + leap)?,
+                false if touched > now + MARGIN => data.set_modified(touched - leap)?,
+                _ => {}
+            }
+        }
+        Ok(())
     }
 
     /// Removes an upload at once; false where there is none.

@@ -8,6 +8,7 @@ mod headers;
 mod piece;
 mod turns;
 
+use std::sync::Mutex;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use axum::extract::{DefaultBodyLimit, Path, Request, State};
@@ -22,7 +23,7 @@ use super::App;
 use super::access::{BytesLeft, Caller};
 use super::error::{ApiError, Problem};
 use super::extract::{parse_id, unknown};
-use crate::jobs::QueueError;
+use crate::jobs::{Env, QueueError};
 use crate::storage::{AboutUpload, ResumableUpload};
 
 pub(super) use turns::{Turn, Turns};
@@ -53,6 +54,8 @@ async fn speak(request: Request, next: Next) -> Response {
 }
 
 /// Ask what the server can do with resumable uploads (tus 1.0.0).
+///
+/// Needs no `Tus-Resumable`. The extensions are creation, termination, checksum and expiration.
 #[utoipa::path(
     options, path = "/v1/uploads", tag = "uploads",
     responses((status = 204, description = "Its abilities are in the headers", headers(
@@ -227,6 +230,8 @@ async fn append(
 }
 
 /// Give an upload up (tus 1.0.0, termination).
+///
+/// What has come is removed at once, and a request that still sends is cut.
 #[utoipa::path(
     delete, path = "/v1/uploads/{id}", tag = "uploads",
     params(("id" = String, Path, description = "The upload's id"), ("tus-resumable" = String, Header, description = "1.0.0")),
@@ -243,6 +248,8 @@ async fn remove(State(app): State<App>, caller: Caller, Path(id): Path<String>) 
 }
 
 /// `PATCH`, `DELETE` or `HEAD` for clients that can only `POST`: `X-HTTP-Method-Override` names the method.
+///
+/// Headers, body and answers are those of the method.
 #[utoipa::path(
     post, path = "/v1/uploads/{id}", tag = "uploads",
     params(
@@ -277,6 +284,17 @@ pub(super) async fn take(app: &App, caller: &Caller, id: &str) -> Result<(Resuma
     Ok((found.ok_or_else(|| unknown("upload", id))?, turn))
 }
 
+/// Reads each header that these routes read. For [`super::parsers`].
+pub(super) fn read_headers(given: &HeaderMap) {
+    for name in [headers::LENGTH, headers::OFFSET] {
+        let _ = headers::number(given, name);
+    }
+    if let Ok(Some(metadata)) = headers::metadata(given) {
+        assert_eq!(headers::text(&metadata), metadata.as_str(), "it is given back as it came");
+    }
+    let _ = piece::names_checksum(given);
+}
+
 fn expires(ttl: Duration, touched: SystemTime) -> String {
     httpdate::fmt_http_date(touched + ttl)
 }
@@ -295,6 +313,13 @@ pub(super) async fn sweep(app: App) {
 impl App {
     /// One look through the uploads.
     pub async fn expire_uploads(&self) {
+        if let Some(leap_ms) = self.leaps.since_last_look(&self.env) {
+            let (store, now) = (self.store.clone(), wall_clock(self));
+            let moved = tokio::task::spawn_blocking(move || store.move_resumables(leap_ms, now)).await;
+            if let Err(error) = moved.unwrap_or_else(|panic| Err(panic.into())) {
+                tracing::warn!(%error, "an upload may expire at another time than was told");
+            }
+        }
         let store = self.store.clone();
         match tokio::task::spawn_blocking(move || store.resumable_ids()).await {
             Ok(Ok(ids)) => {
@@ -310,8 +335,28 @@ impl App {
     }
 }
 
+fn wall_clock(app: &App) -> SystemTime {
+    UNIX_EPOCH + Duration::from_millis(app.env.now().0.max(0) as u64)
+}
+
+/// Tells leaps of the wall clock.
+#[derive(Default)]
+pub(super) struct Leaps(Mutex<Option<i64>>);
+
+/// Less is no leap.
+const LEAP_MS: i64 = 5_000;
+
+impl Leaps {
+    /// By how much the wall clock has moved beyond the time that passed, where that is much.
+    fn since_last_look(&self, env: &Env) -> Option<i64> {
+        let offset = env.now().0 - env.steady()?.ms;
+        let before = self.0.lock().unwrap().replace(offset)?;
+        Some(offset - before).filter(|leap| leap.abs() >= LEAP_MS)
+    }
+}
+
 async fn expire(app: &App, id: Uuid) -> Result<(), ApiError> {
-    let now = UNIX_EPOCH + Duration::from_millis(app.env.now().0.max(0) as u64);
+    let now = wall_clock(app);
     // An upload whose last bytes are of the future is young: the clock was set back.
     let is_old = || match app.store.resumable_touched(id) {
         Ok(touched) => now.duration_since(touched).is_ok_and(|age| age > app.limits.upload_ttl),

@@ -54,6 +54,11 @@ impl Checksum {
     }
 }
 
+/// Whether the headers name a checksum that can be checked.
+pub(super) fn names_checksum(headers: &HeaderMap) -> Result<bool, ApiError> {
+    Checksum::of(headers).map(|checksum| checksum.is_some())
+}
+
 /// Appends the request's body; returns the new offset.
 pub(super) async fn append(
     store: &Store,

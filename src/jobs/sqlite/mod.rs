@@ -6,6 +6,7 @@
 
 mod api;
 pub mod backup;
+mod clock;
 mod keys;
 mod reaper;
 mod rows;
@@ -18,6 +19,7 @@ mod worker;
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Mutex;
 use std::time::Duration;
 
 use futures_util::future::BoxFuture;
@@ -40,6 +42,8 @@ pub struct SqliteQueue {
     readers: SqlitePool,
     env: Env,
     policy: Policy,
+    /// How the wall clock stood when it was last looked at.
+    clock: Mutex<Option<clock::Known>>,
 }
 
 type Tx = Transaction<'static, Sqlite>;
@@ -58,7 +62,7 @@ impl SqliteQueue {
         let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
         sqlx::migrate!("./migrations").run(&writer).await?;
         let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
-        Ok(SqliteQueue { writer, readers, env, policy })
+        Ok(SqliteQueue { writer, readers, env, policy, clock: Mutex::default() })
     }
 
     /// Closes the connections, after which the file may be moved.
@@ -67,7 +71,13 @@ impl SqliteQueue {
         self.writer.close().await;
     }
 
+    /// A transaction that writes. Times in it are taken after this call.
     async fn write(&self) -> Result<Tx, QueueError> {
+        self.settle().await?;
+        self.begin().await
+    }
+
+    async fn begin(&self) -> Result<Tx, QueueError> {
         match self.writer.begin_with("BEGIN IMMEDIATE").await {
             // A full disk makes SQLite itself roll back, which sqlx does not learn: to it the connection is in that
             // transaction for ever. A new connection knows better.

@@ -8,6 +8,7 @@ use super::{SqliteQueue, Tx};
 
 impl SqliteQueue {
     pub(super) async fn reap_all(&self) -> Result<Reaped, QueueError> {
+        self.settle().await?;
         let now = self.env.now().0;
         let forgotten = now - self.policy.remember.as_millis() as i64;
         // Most looks find nothing: they must not take the writer's lock.

@@ -15,20 +15,54 @@ use super::tests::open;
 /// What somebody does. Numbers choose a job or a lease, whatever there is.
 #[derive(Clone, Debug)]
 enum Deed {
-    Insert { priority: i32, deadline_secs: Option<u64> },
-    Claim { worker: u8 },
-    Pass { secs: u64 },
+    Insert {
+        priority: i32,
+        deadline_secs: Option<u64>,
+    },
+    Claim {
+        worker: u8,
+    },
+    Pass {
+        secs: u64,
+    },
+    /// Somebody sets the wall clock, and a worker writes before anybody else.
+    Leap {
+        secs: u64,
+        forward: bool,
+    },
     Reap,
-    WorkerDies { worker: u8 },
-    Heartbeat { lease: usize },
-    Saved { lease: usize, percent: u8 },
-    Succeed { lease: usize },
-    Fail { lease: usize, repeat: Repeat },
-    GiveBack { lease: usize },
-    ConfirmCancel { lease: usize },
-    Cancel { job: usize },
-    Retry { job: usize },
-    Delete { job: usize },
+    WorkerDies {
+        worker: u8,
+    },
+    Heartbeat {
+        lease: usize,
+    },
+    Saved {
+        lease: usize,
+        percent: u8,
+    },
+    Succeed {
+        lease: usize,
+    },
+    Fail {
+        lease: usize,
+        repeat: Repeat,
+    },
+    GiveBack {
+        lease: usize,
+    },
+    ConfirmCancel {
+        lease: usize,
+    },
+    Cancel {
+        job: usize,
+    },
+    Retry {
+        job: usize,
+    },
+    Delete {
+        job: usize,
+    },
 }
 
 fn deeds() -> impl Strategy<Value = Deed> {
@@ -39,6 +73,7 @@ fn deeds() -> impl Strategy<Value = Deed> {
         3 => (-2..3, deadline).prop_map(|(priority, deadline_secs)| Insert { priority, deadline_secs }),
         6 => (0..3u8).prop_map(|worker| Claim { worker }),
         4 => prop_oneof![0..5u64, 30..70u64, 600..700u64].prop_map(|secs| Pass { secs }),
+        1 => (60..200_000u64, any::<bool>()).prop_map(|(secs, forward)| Leap { secs, forward }),
         3 => Just(Reap),
         1 => (0..3u8).prop_map(|worker| WorkerDies { worker }),
         2 => any::<usize>().prop_map(|lease| Heartbeat { lease }),
@@ -85,6 +120,10 @@ impl World {
             }
             Deed::Claim { worker } => self.claim(&before, *worker).await,
             Deed::Pass { secs } => self.bench.clock.advance(Duration::from_secs(*secs)),
+            Deed::Leap { secs, forward } => {
+                self.bench.clock.leap(Duration::from_secs(*secs), *forward);
+                queue.heartbeat(&Lease { job: Uuid::nil(), epoch: 0 }).await.unwrap();
+            }
             Deed::Reap => drop(queue.reap().await.unwrap()),
             Deed::WorkerDies { worker } => {
                 let owner = format!("worker-{worker}");

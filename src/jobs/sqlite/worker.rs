@@ -26,15 +26,15 @@ macro_rules! claimable {
 impl SqliteQueue {
     pub(super) async fn claim_job(&self, owner: &str) -> Result<Option<(Lease, Job)>, QueueError> {
         // An idle worker looks often: the look must not take the writer's lock.
-        let now = self.env.now();
         let waiting: bool = sqlx::query_scalar(concat!("SELECT EXISTS (SELECT 1 ", claimable!("?1"), ")"))
-            .bind(now.0)
+            .bind(self.env.now().0)
             .fetch_one(&self.readers)
             .await?;
         if !waiting {
             return Ok(None);
         }
         let mut tx = self.write().await?;
+        let now = self.env.now();
         let claimed = sqlx::query(concat!(
             "UPDATE jobs SET state = 'running', epoch = epoch + 1, attempt = attempt + 1, owner = ?1, lease_until = ?2, \
              saved_at_claim = saved, started_at = COALESCE(started_at, ?3), updated_at = ?3, version = version + 1 \

@@ -150,6 +150,27 @@ async fn what_nobody_goes_on_with_expires() {
 }
 
 #[tokio::test]
+async fn an_upload_keeps_its_age_when_the_wall_clock_is_set() {
+    for forward in [true, false] {
+        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
+        // Files have the system's time; what the test does takes less than the seconds that the clock is ahead.
+        let clock = ManualClock::new(Timestamp(now.as_millis() as i64 + 60_000));
+        let limits = Limits { upload_ttl: Duration::from_secs(3600), ..Limits::default() };
+        let bench = Bench::with(limits, Policy::default(), 0, Env::new(clock.clone(), 1)).await;
+        let path = bench.begin(10).await;
+        bench.app.expire_uploads().await;
+        clock.leap(Duration::from_secs(86_400), forward);
+        bench.app.expire_uploads().await;
+        clock.advance(Duration::from_secs(3400));
+        bench.app.expire_uploads().await;
+        assert_eq!(bench.offset(&path).await, 0, "forward: {forward}");
+        clock.advance(Duration::from_secs(300));
+        bench.app.expire_uploads().await;
+        assert_eq!(bench.call(Method::HEAD, &path, &[TUS], Body::empty()).await.status, 404, "forward: {forward}");
+    }
+}
+
+#[tokio::test]
 async fn a_job_is_made_of_uploads() {
     let bench = Bench::new().await;
     let mut ids = BTreeMap::new();
@@ -238,31 +259,34 @@ fn break_off(serve: &Serve, path: &str, offset: usize, length: usize, part: &[u8
     connection.write_all(part).unwrap();
 }
 
+/// `EFFIGY_TORTURE_UPLOAD_MB` of them, cut at some `EFFIGY_TORTURE_CUTS` random offsets.
 #[test]
 fn an_upload_survives_cuts_and_restarts() {
-    const BYTES: usize = 24 << 20;
+    let number = |name: &str, default| std::env::var(name).map_or(default, |text| text.parse::<usize>().unwrap());
+    let bytes = number("EFFIGY_TORTURE_UPLOAD_MB", 24) << 20;
+    let longest = 2 * bytes / number("EFFIGY_TORTURE_CUTS", 16);
     let mut random = Pcg64Mcg::seed_from_u64(11);
-    let mut content = vec![0; BYTES];
+    let mut content = vec![0; bytes];
     random.fill_bytes(&mut content);
     let data = tempfile::tempdir().unwrap();
     let mut serve = Serve::start(data.path(), &["--workers", "0"]);
     let client = reqwest::blocking::Client::new();
-    let begun = client.post(format!("{}/v1/uploads", serve.url)).header(TUS.0, TUS.1).header("upload-length", BYTES);
+    let begun = client.post(format!("{}/v1/uploads", serve.url)).header(TUS.0, TUS.1).header("upload-length", bytes);
     let path = begun.send().unwrap().headers()["location"].to_str().unwrap().to_string();
     let offset_of = |serve: &Serve| -> usize {
         let told = client.head(format!("{}{path}", serve.url)).header(TUS.0, TUS.1).send().unwrap();
-        assert_eq!(told.headers()["upload-length"], BYTES.to_string().as_str());
+        assert_eq!(told.headers()["upload-length"], bytes.to_string().as_str());
         told.headers()["upload-offset"].to_str().unwrap().parse().unwrap()
     };
     let (mut peak, mut cuts, mut restarts) = (0, 0, 0);
     loop {
         let offset = offset_of(&serve);
-        assert!(offset <= BYTES);
-        if offset == BYTES {
+        assert!(offset <= bytes);
+        if offset == bytes {
             break;
         }
-        let part = random.random_range(1..3 << 20).min(BYTES - offset);
-        break_off(&serve, &path, offset, BYTES - offset, &content[offset..offset + part]);
+        let part = random.random_range(1..longest).min(bytes - offset);
+        break_off(&serve, &path, offset, bytes - offset, &content[offset..offset + part]);
         cuts += 1;
         peak = peak.max(serve.peak_bytes());
         if random.random_range(0..3) == 0 {
@@ -272,10 +296,18 @@ fn an_upload_survives_cuts_and_restarts() {
         }
     }
     let id = path.rsplit('/').next().unwrap();
-    let came = std::fs::read(data.path().join("uploads").join(id).join("data")).unwrap();
-    assert!(Sha256::digest(&came) == Sha256::digest(&content), "the bytes differ");
+    let mut came = std::fs::File::open(data.path().join("uploads").join(id).join("data")).unwrap();
+    let (mut hash, mut buffer) = (Sha256::new(), vec![0; 1 << 20]);
+    loop {
+        let n = came.read(&mut buffer).unwrap();
+        if n == 0 {
+            break;
+        }
+        hash.update(&buffer[..n]);
+    }
+    assert!(hash.finalize() == Sha256::digest(&content), "the bytes differ");
     assert!(cuts > 8 && restarts > 0, "{cuts} cuts, {restarts} restarts");
-    eprintln!("{BYTES} bytes in {cuts} pieces, {restarts} kills of the server; its peak memory: {peak} bytes");
+    eprintln!("{bytes} bytes in {cuts} pieces, {restarts} kills of the server; its peak memory: {peak} bytes");
     assert!(peak < 96 << 20, "{peak} bytes of memory");
 }
 
