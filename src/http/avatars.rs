@@ -44,6 +44,9 @@ pub(super) struct AvatarView {
 }
 
 /// Describe an avatar.
+///
+/// It carries the id of the job that made it. `files` tells where each file is; renders and posed meshes are made when they
+/// are asked for.
 #[utoipa::path(
     get, path = "/v1/avatars/{id}", tag = "avatars", params(("id" = String, Path, description = "The avatar's id")),
     responses(

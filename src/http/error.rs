@@ -211,6 +211,52 @@ impl ApiError {
     }
 }
 
+/// The document of a typical error of this status, for the description of the API.
+pub(super) fn example(status: u16) -> Option<serde_json::Value> {
+    let words = |text: &str| text.to_string();
+    let error = match status {
+        400 => ApiError::Malformed {
+            detail: words("unknown field `presett`"),
+            part: Some(words("options.presett")),
+            expected: Some(words("preset, max_frames, max_side_px, body, seed, height_m, texture_px")),
+        },
+        401 => ApiError::Unauthorized(words("the key is unknown, expired or revoked")),
+        403 => ApiError::Forbidden(words("the key \"viewer\" lacks the scope \"write\"")),
+        404 => ApiError::Unknown { what: "job", id: words("0190a1b2-c3d4-7e5f-8a9b-0c1d2e3f4a5b") },
+        405 => ApiError::MethodNotAllowed(words("PUT /v1/jobs")),
+        408 => ApiError::TooSlow,
+        409 => ApiError::Conflict { state: State::Succeeded, wish: "canceled" },
+        412 => {
+            ApiError::Precondition { detail: words("Tus-Resumable is None"), expected: words("Tus-Resumable: 1.0.0") }
+        }
+        413 => ApiError::TooLarge {
+            detail: words("the part \"video\" is too large"),
+            part: Some(words("video")),
+            limit_bytes: 4 << 30,
+        },
+        415 => ApiError::MediaType(words("the content type is \"text/plain\", not application/json")),
+        416 => ApiError::Range { size: 4096 },
+        422 => ApiError::Input {
+            detail: words("the mask is empty"),
+            part: words("masks"),
+            frame: Some(12),
+            expected: words("a person in every mask"),
+        },
+        423 => ApiError::Superseded,
+        429 => ApiError::TooMany {
+            slug: "rate-limited",
+            detail: words("the key \"phone\" allows 120 requests a minute"),
+            retry_after_secs: 1,
+        },
+        460 => ApiError::Checksum,
+        500 => ApiError::Internal(anyhow::anyhow!("not told")),
+        503 => ApiError::Busy(words("the worker does not answer")),
+        507 => ApiError::DiskReserve { free_bytes: 900 << 20, reserve_bytes: 1 << 30 },
+        _ => return None,
+    };
+    serde_json::to_value(error.problem().1).ok()
+}
+
 impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
         if let ApiError::Internal(error) = &self {

@@ -21,6 +21,8 @@ const CHUNK_BYTES: usize = 256 << 10;
 const PAGE_POLICY: &str = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:";
 
 /// Download a file of an avatar: `avatar.glb`, `texture.png`, `motion.npz`, `report.json`, `report.html`, …
+///
+/// One range of bytes can be asked for; the ETag is strong and holds as long as the avatar does.
 #[utoipa::path(
     get, path = "/v1/avatars/{id}/{file}", tag = "avatars",
     params(

@@ -8,6 +8,8 @@ use super::error::{ApiError, Problem};
 use super::{App, metrics, openapi};
 
 /// Is the process alive?
+///
+/// Answers without a look at anything else, so that a busy or ailing service is not taken for a dead one.
 #[utoipa::path(get, path = "/healthz", tag = "service",
     responses((status = 200, description = "It is", body = String, content_type = "text/plain")))]
 pub(super) async fn healthz() -> &'static str {
@@ -15,6 +17,8 @@ pub(super) async fn healthz() -> &'static str {
 }
 
 /// Can the service do its work?
+///
+/// Asks the database and looks whether the worker answers; a load balancer sends requests while this is 200.
 #[utoipa::path(get, path = "/readyz", tag = "service", responses(
     (status = 200, description = "It can", body = String, content_type = "text/plain"),
     (status = 503, description = "It cannot, and why", body = Problem, content_type = "application/problem+json"),
@@ -28,6 +32,8 @@ pub(super) async fn readyz(State(app): State<App>) -> Result<&'static str, ApiEr
 }
 
 /// Figures for Prometheus.
+///
+/// Counted when asked for; docs/operating.md explains each. Keys need the scope `metrics`.
 #[utoipa::path(get, path = "/metrics", tag = "service",
     responses((status = 200, description = "Prometheus text format", body = String, content_type = "text/plain")))]
 pub(super) async fn figures(State(app): State<App>) -> Result<impl IntoResponse, ApiError> {
@@ -36,6 +42,8 @@ pub(super) async fn figures(State(app): State<App>) -> Result<impl IntoResponse,
 }
 
 /// This description.
+///
+/// The same as the file `openapi.yaml` of the version that runs.
 #[utoipa::path(get, path = "/openapi.yaml", tag = "service",
     responses((status = 200, description = "OpenAPI 3.1", body = String, content_type = "application/yaml")))]
 pub(super) async fn description() -> Result<impl IntoResponse, ApiError> {

@@ -132,6 +132,8 @@ pub(super) async fn create(
 }
 
 /// List webhooks.
+///
+/// Those of the caller's key, or all where no key is needed or the key is an admin's; without their secrets.
 #[utoipa::path(
     get, path = "/v1/webhooks", tag = "webhooks",
     responses((status = 200, description = "Those of the caller's key", body = WebhookList))
@@ -142,6 +144,8 @@ pub(super) async fn list(State(app): State<App>, caller: Caller) -> Result<Json<
 }
 
 /// Ask for a webhook and its newest messages.
+///
+/// Each message tells its attempts, the last answer, and when it will be tried again.
 #[utoipa::path(
     get, path = "/v1/webhooks/{id}", tag = "webhooks", params(("id" = String, Path, description = "The webhook's id")),
     responses(
@@ -161,7 +165,9 @@ pub(super) async fn get(
     Ok(Json(WebhookView { deliveries: Some(deliveries.collect::<Result<_, _>>()?), ..view(webhook) }))
 }
 
-/// Delete a webhook; what was not yet delivered never will be.
+/// Delete a webhook.
+///
+/// What was not yet delivered never will be.
 #[utoipa::path(
     delete, path = "/v1/webhooks/{id}", tag = "webhooks", params(("id" = String, Path, description = "The webhook's id")),
     responses(

@@ -44,6 +44,9 @@ pub(super) struct JobList {
 }
 
 /// List jobs, newest first: those of the caller's key, or all where no key is needed or the key is an admin's.
+///
+/// A page holds `limit` jobs at most; `next` is the cursor of the page after it. Jobs that come meanwhile do not shift the
+/// pages.
 #[utoipa::path(
     get, path = "/v1/jobs", tag = "jobs", params(ListQuery),
     responses(

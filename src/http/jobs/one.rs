@@ -71,6 +71,8 @@ pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> Re
 }
 
 /// Queue a failed or canceled job again, with all its attempts; it goes on from its checkpoint.
+///
+/// Its deadline, where it has one, counts from now on again.
 #[utoipa::path(
     post, path = "/v1/jobs/{id}/retry", tag = "jobs", params(("id" = String, Path, description = "The job's id")),
     responses(

@@ -36,7 +36,7 @@ pub(in crate::http) struct RenderBody {
     /// Absent: the capture's.
     pub camera: Option<CameraBody>,
     #[serde(default)]
-    #[schema(default = "captured", inline)]
+    #[schema(inline)]
     pub light: Light,
     /// `transparent` or `#rrggbb`.
     #[serde(default = "transparent")]

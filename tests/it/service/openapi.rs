@@ -9,6 +9,137 @@ fn the_committed_description_is_that_of_the_handlers() {
     assert!(committed == effigy::http::openapi::yaml().unwrap(), "openapi.yaml is stale: run `make openapi`");
 }
 
+fn description() -> Value {
+    yaml_serde::from_str(&effigy::http::openapi::yaml().unwrap()).unwrap()
+}
+
+/// Path, method and description of each operation.
+fn operations(api: &Value) -> Vec<(String, String, &Value)> {
+    let paths = api["paths"].as_object().unwrap().iter();
+    let methods = ["get", "head", "post", "put", "patch", "delete", "options"];
+    paths
+        .flat_map(|(path, item)| {
+            let found =
+                methods.iter().filter_map(|method| Some((path.clone(), method.to_string(), item.get(*method)?)));
+            found.collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+#[test]
+fn every_operation_is_named_described_and_lists_its_errors() {
+    let api = description();
+    let mut ids = std::collections::BTreeSet::new();
+    let operations = operations(&api);
+    assert!(operations.len() > 25, "{}", operations.len());
+    for (path, method, operation) in operations {
+        let at = format!("{method} {path}");
+        let id = operation["operationId"].as_str().unwrap_or_else(|| panic!("{at} has no name"));
+        assert!(ids.insert(id.to_string()), "{at}: {id} is another's");
+        for text in ["summary", "description"] {
+            assert!(operation[text].as_str().is_some_and(|text| text.len() > 4), "{at} has no {text}");
+        }
+        let responses = operation["responses"].as_object().unwrap();
+        let mut errors = Vec::new();
+        if path.starts_with("/v1/") || path == "/metrics" {
+            errors.extend(["401", "403", "429", "500"]);
+        }
+        if path.contains("{id}") {
+            errors.push("404");
+        }
+        if operation["requestBody"]["content"].get("application/json").is_some() {
+            errors.extend(["400", "408", "413", "415"]);
+        }
+        if path.starts_with("/v1/")
+            && ["post", "patch", "delete"].contains(&method.as_str())
+            && !path.contains("avatars")
+        {
+            errors.push("507");
+        }
+        for status in errors {
+            assert!(responses.contains_key(status), "{at} ({id}) does not list {status}");
+        }
+        for (status, response) in responses {
+            assert!(response["description"].as_str().is_some_and(|text| !text.is_empty()), "{at} {status}");
+            if matches!(status.as_str(), "429" | "503") {
+                assert!(response["headers"].get("retry-after").is_some(), "{at} {status}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_body_has_an_example_that_is_one() {
+    let api = description();
+    let mut checked = 0;
+    for (path, method, operation) in operations(&api) {
+        let bodies = operation["responses"].as_object().unwrap().iter();
+        let bodies = bodies.map(|(status, response)| (status.as_str(), response));
+        for (status, body) in bodies.chain(operation.get("requestBody").map(|body| ("request", body))) {
+            for (kind, content) in body["content"].as_object().into_iter().flatten() {
+                let at = format!("{method} {path}, {status}, {kind}");
+                let example = content.get("example").unwrap_or_else(|| panic!("{at} has no example"));
+                if kind.ends_with("json") {
+                    check(&api, &content["schema"], example, &at);
+                    checked += 1;
+                }
+                if kind == "application/problem+json" {
+                    assert_eq!(example["status"].to_string(), status, "{at}");
+                }
+            }
+        }
+    }
+    assert!(checked > 60, "{checked} examples");
+}
+
+/// What a schema of ours can say: references, objects with their fields, arrays, types.
+fn check(api: &Value, schema: &Value, value: &Value, at: &str) {
+    if let Some(reference) = schema["$ref"].as_str() {
+        let name = reference.rsplit('/').next().unwrap();
+        return check(api, &api["components"]["schemas"][name], value, at);
+    }
+    if let Some(one_of) = schema["oneOf"].as_array() {
+        let fits = |schema: &&Value| !(value.is_null() ^ (schema["type"] == "null"));
+        return check(api, one_of.iter().find(fits).unwrap(), value, at);
+    }
+    for part in schema["allOf"].as_array().into_iter().flatten() {
+        check(api, part, value, at);
+    }
+    let types = match &schema["type"] {
+        Value::Array(types) => types.clone(),
+        Value::Null => Vec::new(),
+        one => vec![one.clone()],
+    };
+    let actual = match value {
+        Value::Null => "null",
+        Value::Bool(_) => "boolean",
+        Value::Number(number) if number.is_f64() => "number",
+        Value::Number(_) => "integer",
+        Value::String(_) => "string",
+        Value::Array(_) => "array",
+        Value::Object(_) => "object",
+    };
+    let fits = types.is_empty() || types.iter().any(|t| t == actual || (t == "number" && actual == "integer"));
+    assert!(fits, "{at}: {value} is no {types:?}");
+    if let Some(words) = schema["enum"].as_array() {
+        assert!(words.contains(value), "{at}: {value} is none of {words:?}");
+    }
+    for (n, item) in value.as_array().into_iter().flatten().enumerate() {
+        check(api, &schema["items"], item, &format!("{at}[{n}]"));
+    }
+    let (Some(fields), Some(known)) = (value.as_object(), schema["properties"].as_object()) else { return };
+    for name in schema["required"].as_array().into_iter().flatten() {
+        assert!(fields.contains_key(name.as_str().unwrap()), "{at} lacks {name}");
+    }
+    for (name, field) in fields {
+        // Two halves of an `allOf` each know their own.
+        match known.get(name) {
+            Some(schema) => check(api, schema, field, &format!("{at}.{name}")),
+            None => assert!(at.contains("camera"), "{at} has no {name}"),
+        }
+    }
+}
+
 #[tokio::test]
 async fn the_server_tells_its_description() {
     let bench = Bench::new().await;
