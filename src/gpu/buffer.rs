@@ -7,6 +7,7 @@ use bytemuck::Pod;
 use wgpu::util::DeviceExt;
 
 use super::device::{Gpu, GpuError, Memory};
+use super::rehearsal::{Point, strikes};
 
 /// `len` values of `T` on the device, tightly packed.
 pub struct Buffer<T> {
@@ -69,6 +70,9 @@ impl Gpu {
     }
 
     fn track<T>(&self, label: &str, raw: wgpu::Buffer, len: usize) -> Buffer<T> {
+        if strikes(Point::Memory) {
+            self.run_out_of_memory(label);
+        }
         self.memory.add(raw.size());
         Buffer { raw, label: label.to_owned(), len, memory: self.memory.clone(), kind: PhantomData }
     }

@@ -178,6 +178,18 @@ impl Gpu {
         }
     }
 
+    /// Destroys the device under those who use it, as a driver that resets does. For rehearsals.
+    pub(super) fn lose(&self) {
+        self.device.destroy();
+        self.fault.lock().unwrap().get_or_insert(Fault::Lost("destroyed in a rehearsal".into()));
+    }
+
+    /// Leaves the fault that a device without memory reports. For rehearsals.
+    pub(super) fn run_out_of_memory(&self, label: &str) {
+        let reason = format!("Not enough memory left for {label} (a rehearsal)");
+        self.fault.lock().unwrap().get_or_insert(Fault::Failed(reason));
+    }
+
     /// Waits until all submitted work is done.
     pub fn wait(&self) -> Result<(), GpuError> {
         self.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| GpuError::Lost(e.to_string()))?;

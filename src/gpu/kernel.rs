@@ -4,6 +4,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use super::device::Gpu;
+use super::rehearsal::{Point, strikes};
 use super::shader::{Expansion, expand};
 
 /// A compiled compute shader with one entry point and one bind group: binding 0 is the uniform `params`, bindings 1…
@@ -25,7 +26,10 @@ impl Gpu {
         if let Some(kernel) = self.kernels.lock().unwrap().get(&key) {
             return kernel.clone();
         }
-        let text = expand(label, source, Expansion { float_atomics: self.info().float_atomics, constants });
+        let mut text = expand(label, source, Expansion { float_atomics: self.info().float_atomics, constants });
+        if strikes(Point::Shader) {
+            text.push_str("\nthis is no WGSL");
+        }
         let desc = wgpu::ShaderModuleDescriptor { label: Some(label), source: wgpu::ShaderSource::Wgsl(text.into()) };
         let module = if std::env::var_os("EFFIGY_GPU_CHECKED").is_some() {
             self.device.create_shader_module(desc)

@@ -7,6 +7,7 @@ mod buffer;
 mod device;
 mod kernel;
 mod recorder;
+mod rehearsal;
 pub mod shader;
 mod timing;
 

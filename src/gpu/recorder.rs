@@ -8,6 +8,7 @@ use wgpu::util::DeviceExt;
 use super::buffer::Buffer;
 use super::device::{Gpu, GpuError};
 use super::kernel::Kernel;
+use super::rehearsal::{Point, strikes};
 
 /// A buffer of any element type, for binding lists.
 pub trait AnyBuffer {
@@ -119,6 +120,9 @@ impl<'g> Recorder<'g> {
 
     /// Hands everything to the device, in order. Does not wait.
     pub fn submit(self) -> Result<(), GpuError> {
+        if strikes(Point::Lost) {
+            self.gpu.lose();
+        }
         if self.gpu.profiling() {
             for command in &self.commands {
                 let label = match command {

@@ -1,5 +1,6 @@
 //! What the device's thread can do. The real one owns the device; tests bring their own.
 
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -51,7 +52,13 @@ impl Engine for DeviceEngine {
         let gpu = self.gpu()?;
         // The models in the cache take memory that the fit may need.
         self.draughtsman.forget();
-        pipeline::run(&gpu, &task.input, &task.data_dir, &task.work_dir, &task.out_dir, observer)
+        let run = || pipeline::run(&gpu, &task.input, &task.data_dir, &task.work_dir, &task.out_dir, observer);
+        // A device that fails shows as an error or a panic wherever its absence is met first: its own word counts.
+        match (catch_unwind(AssertUnwindSafe(run)), gpu.check()) {
+            (Err(_) | Ok(Err(PipelineError::Internal(_))), Err(fault)) => Err(fault.into()),
+            (Ok(end), _) => end,
+            (Err(panic), Ok(())) => resume_unwind(panic),
+        }
     }
 
     fn draw(&mut self, request: &RenderRequest, to: &Path) -> Result<(), RenderError> {

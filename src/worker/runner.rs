@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval};
+use tracing::Instrument;
 
 use super::claims::Hung;
 use super::device_thread::{Control, DeviceThread};
@@ -42,6 +43,11 @@ pub(super) struct Runner {
 impl Runner {
     /// Runs a claimed job to its end, whatever that is; an error where the fit cannot be ended.
     pub async fn run(&self, lease: &Lease, job: &Job) -> Result<(), Hung> {
+        let span = tracing::info_span!("attempt", job = %lease.job, attempt = job.attempt);
+        self.run_attempt(lease, job).instrument(span).await
+    }
+
+    async fn run_attempt(&self, lease: &Lease, job: &Job) -> Result<(), Hung> {
         let started = Instant::now();
         tracing::info!(job = %lease.job, epoch = lease.epoch, attempt = job.attempt, "the fit begins");
         let control = Arc::new(Control::default());
@@ -220,6 +226,14 @@ impl Runner {
             },
             Err(error) => Err(error),
         };
+        if sealed.is_err() {
+            // What the attempt made is worth nothing, and on a full disk the database needs the room to say so.
+            let (store, lease) = (self.store.clone(), lease.clone());
+            let discarded = tokio::task::spawn_blocking(move || store.discard_results(lease.job, lease.epoch)).await;
+            if let Err(error) = discarded.unwrap_or_else(|panic| Err(panic.into())) {
+                tracing::warn!(%error, "files of a failed attempt stay");
+            }
+        }
         for attempt in 1..=END_TRIES {
             match self.write_end(lease, &sealed).await {
                 Ok(standing) => {

@@ -97,11 +97,11 @@ async fn a_disk_that_has_but_its_reserve_refuses_with_507() {
 }
 
 /// A small disk of its own, for as long as it lives.
-struct Disk(tempfile::TempDir);
+pub struct Disk(pub tempfile::TempDir);
 
 impl Disk {
     /// None where the system does not let us mount one.
-    fn mount(bytes: u64) -> Option<Disk> {
+    pub fn mount(bytes: u64) -> Option<Disk> {
         let folder = tempfile::tempdir().unwrap();
         let mount = std::process::Command::new("mount")
             .args(["-t", "tmpfs", "-o", &format!("size={bytes}"), "tmpfs"])
@@ -111,9 +111,10 @@ impl Disk {
     }
 
     /// Writes until not a byte is left.
-    fn fill(&self) {
+    pub fn fill(&self) {
         use std::io::Write;
-        let mut filler = std::fs::File::create(self.0.path().join("filler")).unwrap();
+        let filler = std::fs::File::options().create(true).append(true).open(self.0.path().join("filler"));
+        let mut filler = filler.unwrap();
         for size in [1 << 16, 1 << 12, 1] {
             while filler.write_all(&vec![0; size]).is_ok() {}
         }

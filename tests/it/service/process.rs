@@ -26,6 +26,14 @@ impl Serve {
         Self::spawn(effigy)
     }
 
+    /// With variables for it and its worker.
+    pub fn start_with(data: &Path, arguments: &[&str], variables: &[(&str, &str)]) -> Serve {
+        let mut effigy = Command::new(env!("CARGO_BIN_EXE_effigy"));
+        effigy.args(["serve", "--listen", "127.0.0.1:0", "--data-dir"]).arg(data).args(arguments);
+        effigy.envs(variables.iter().copied()).stderr(Stdio::null());
+        Self::spawn(effigy)
+    }
+
     fn spawn(mut effigy: Command) -> Serve {
         effigy::webhooks::install_cryptography();
         let mut child = effigy.stdout(Stdio::piped()).spawn().unwrap();

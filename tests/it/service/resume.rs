@@ -122,39 +122,3 @@ fn a_killed_fit_goes_on() {
     assert_eq!(&glb.bytes().unwrap()[..4], b"glTF");
     assert!(serve.terminate().success());
 }
-
-#[test]
-#[ignore = "takes a whole fit: make torture"]
-fn status_calls_are_quick_and_cancels_prompt_under_a_fit() {
-    use std::time::{Duration, Instant};
-    let folder = tempfile::tempdir().unwrap();
-    let (clip, data) = (folder.path().join("clip"), folder.path().join("data"));
-    if !make_clip(&clip) {
-        return;
-    }
-    std::fs::create_dir_all(data.join("bodies")).unwrap();
-    Body::test_body().save(&data.join("bodies/test.body.npz")).unwrap();
-    let serve = Serve::start(&data, &[]);
-    let job = upload(&serve.url, &clip);
-    let job_url = format!("{}/v1/jobs/{}", serve.url, job["id"].as_str().unwrap());
-    Events::of(&job_url).until(|event| event["stage"] == "geometry");
-    let client = Client::new();
-    let mut times = Vec::new();
-    while times.len() < 500 {
-        let begun = Instant::now();
-        let job: Value = client.get(&job_url).send().unwrap().json().unwrap();
-        times.push(begun.elapsed());
-        if job["state"] != "running" {
-            break;
-        }
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    times.sort();
-    let p99 = times[times.len() * 99 / 100];
-    let wished = Instant::now();
-    assert_eq!(client.post(format!("{job_url}/cancel")).send().unwrap().status(), 202);
-    Events::of(&job_url).until(|event| event["state"] == "canceled");
-    eprintln!("{} status calls under a fit: p99 {p99:?}; canceled {:?} after the wish", times.len(), wished.elapsed());
-    assert!(times.len() >= 100 && p99 <= Duration::from_millis(50), "p99 {p99:?} of {} calls", times.len());
-    assert!(wished.elapsed() < Duration::from_secs(2), "{:?}", wished.elapsed());
-}
