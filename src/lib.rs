@@ -15,6 +15,7 @@ pub mod jobs;
 pub mod npz;
 pub mod ops;
 pub mod page;
+pub mod parsers;
 pub mod quality;
 pub mod robustness;
 pub mod storage;

@@ -111,6 +111,7 @@ impl Npz {
 
 /// Parses one `.npy` file; `None` for a type that is not numeric.
 pub fn parse_npy(bytes: &[u8], max_values: usize) -> Result<Option<Array>, String> {
+    check_sizes(bytes)?;
     let file = NpyFile::new(Cursor::new(bytes)).map_err(|e| e.to_string())?;
     let shape = file.shape().iter().map(|&n| usize::try_from(n)).collect::<Result<Vec<_>, _>>();
     let shape = shape.map_err(|e| e.to_string())?;
@@ -145,6 +146,18 @@ pub fn parse_npy(bytes: &[u8], max_values: usize) -> Result<Option<Array>, Strin
     };
     let data = if order == Order::Fortran { to_c_order(&shape, &data) } else { data };
     Ok(Some(Array { shape, data }))
+}
+
+/// The reader multiplies the numbers of a header's tuples without a look at how large they get.
+fn check_sizes(bytes: &[u8]) -> Result<(), String> {
+    let header = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
+    let text = String::from_utf8_lossy(header);
+    for tuple in text.split('(').skip(1).filter_map(|rest| rest.split(')').next()) {
+        let numbers = tuple.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty());
+        let product = numbers.map(str::parse::<u64>).try_fold(1u64, |a, n| a.checked_mul(n.ok()?.max(1)));
+        product.ok_or_else(|| format!("shape ({tuple}) is too large"))?;
+    }
+    Ok(())
 }
 
 fn to_c_order(shape: &[usize], data: &[f64]) -> Vec<f64> {

@@ -15,6 +15,7 @@ mod keypoints;
 mod lens;
 mod limits;
 mod openpose;
+pub mod parsers;
 mod poses;
 mod rectify;
 mod source;

@@ -17,6 +17,7 @@ mod metrics;
 pub mod openapi;
 mod pace;
 mod page;
+pub mod parsers;
 mod renders;
 mod server;
 mod uploads;

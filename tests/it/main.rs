@@ -5,6 +5,7 @@ mod config;
 mod deploy;
 mod doctor;
 mod fit;
+mod fuzz;
 mod import_rule;
 mod robustness;
 mod service;

@@ -1,6 +1,7 @@
 //! Importers: from other people's body models to our own file. Run by `effigy body import` alone, on files the
 //! operator chose; nothing here is reachable over HTTP.
 
+pub mod parsers;
 mod pickle;
 mod pickled_arrays;
 mod simplify;

@@ -13,6 +13,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::App;
+pub(super) use upload::receive;
 
 pub(super) fn router() -> OpenApiRouter<App> {
     // An upload never meets in memory; it has limits of its own.

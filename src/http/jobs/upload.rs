@@ -79,7 +79,7 @@ const OPTIONS_LIMIT_BYTES: u64 = 64 << 10;
 const EXPECTED_PARTS: &str = "video, masks and keypoints; if wished camera, poses and options; each once";
 
 /// An upload on the disk.
-pub(super) struct Received {
+pub(in crate::http) struct Received {
     pub upload: Upload,
     pub inputs: BTreeMap<String, Part>,
     pub options: JobOptions,
@@ -112,7 +112,7 @@ impl Received {
 const DISCARD: Duration = Duration::from_secs(5);
 
 /// With `hash`, the parts are hashed on their way.
-pub(super) async fn receive(
+pub(in crate::http) async fn receive(
     mut form: Multipart,
     store: &Store,
     limits: &Limits,

@@ -1,0 +1,13 @@
+//! The parser of pickled models, on bytes alone ([`crate::parsers`]).
+
+use super::{pickle, pickled_arrays, smpl};
+
+/// A pickle of SMPL's, up to the body.
+pub fn pickle(bytes: &[u8]) {
+    let arrays = pickle::parse(bytes).and_then(|value| pickled_arrays::dictionary(&value));
+    if let Ok(arrays) = arrays
+        && let Ok(body) = smpl::body(&arrays, "fuzz")
+    {
+        body.check().expect("an imported body is sound");
+    }
+}
