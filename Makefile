@@ -3,7 +3,7 @@
 PROFILE_DIR := $(or $(CARGO_TARGET_DIR),target)/debug
 EFFIGY := $(PROFILE_DIR)/effigy
 
-.PHONY: demo test test-lpips torture results setup build lint body openapi validate-glb
+.PHONY: demo test test-lpips torture fuzz results setup build lint body openapi validate-glb
 
 ## The main job for real: server, upload, fit, avatar, renders. CLIP=folder uses your own clip.
 demo: setup build
@@ -18,16 +18,20 @@ results: body
 	"$(EFFIGY)" study all
 
 ## The service under attack, for longer than `make test` does it.
-torture: setup
+torture: setup build
 	EFFIGY_TORTURE_CASES=2000 cargo test --locked --lib every_history_keeps_the_rules
 	EFFIGY_TORTURE_CYCLES=200 EFFIGY_TORTURE_JOBS=10000 cargo test --locked --test it service::torture -- --nocapture
-	cargo test --locked --test it service::resume -- --include-ignored --nocapture
+	cargo test --locked --test it service::resume -- --nocapture
+	EFFIGY_TORTURE_CALLS=1000 EFFIGY_TORTURE_CALL_SECS=20 EFFIGY_TORTURE_SLOW_SECS=60 \
+		cargo test --locked --test it service::load -- --nocapture --test-threads=1
+	EFFIGY_TORTURE_UPLOAD_MB=2048 EFFIGY_TORTURE_CUTS=200 \
+		cargo test --locked --test it an_upload_survives_cuts_and_restarts -- --nocapture
+	EFFIGY_TORTURE_MUTATIONS=20000 cargo test --locked --test it fuzz:: -- --nocapture
+	@echo 'Fuzzing with coverage, ten minutes for each parser: make fuzz'
+	scripts/schemathesis.sh "$(EFFIGY)"
 	EFFIGY_TORTURE_STREAMS=5000 cargo test --locked --test it service::hostile::corrupted -- --nocapture
 
-## Lints and tests of the optional feature: LPIPS by a network that the user gives.
-test-lpips: setup
-	cargo clippy --locked --all-targets --features lpips -- -D warnings
-	cargo test --locked --lib --features lpips eval::lpips
+.PHONY: demo test test-lpips torture fuzz results setup build lint body openapi validate-glb
 
 ## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, Node.js, CA certificates).
 setup:

@@ -20,5 +20,6 @@ pub mod quality;
 pub mod robustness;
 pub mod storage;
 pub mod study;
+pub mod telemetry;
 pub mod webhooks;
 pub mod worker;

@@ -25,7 +25,7 @@ pub struct Args {
 
 pub fn run(args: Args) -> Result<()> {
     let in_force = args.settings.resolve()?;
-    start_log(&in_force)?;
+    let _spans = start_log(&in_force, "server")?;
     tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(serve(in_force))
 }
 

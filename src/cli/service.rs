@@ -10,7 +10,12 @@ use effigy::config::{Config, LogFormat};
 use effigy::jobs::sqlite::SqliteQueue;
 use effigy::jobs::{Env, Policy};
 use effigy::storage::Store;
-use tracing_subscriber::EnvFilter;
+use effigy::telemetry::Exporter;
+use effigy::webhooks::install_cryptography;
+use tracing_subscriber::filter::LevelFilter;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer};
 
 use super::settings::InForce;
 
@@ -19,19 +24,29 @@ pub fn policy(config: &Config) -> Policy {
     Policy { retention, max_queued: config.max_queued.into(), ..Policy::default() }
 }
 
-/// Logs to standard error.
-pub fn start_log(in_force: &InForce) -> Result<()> {
+/// Logs to standard error, and sends spans where a collector is set: until what is returned is dropped.
+pub fn start_log(in_force: &InForce, role: &'static str) -> Result<Option<Exporter>> {
     let config = &in_force.config;
     let filter = EnvFilter::try_new(&config.log).with_context(|| format!("the setting log, {:?}", config.log))?;
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
-    match config.log_format {
-        LogFormat::Text => log.with_ansi(std::io::stderr().is_terminal()).init(),
-        LogFormat::Json => log.json().flatten_event(true).with_current_span(false).init(),
-    }
+    let (spans, exporter) = match &config.otlp_endpoint {
+        None => (None, None),
+        Some(endpoint) => {
+            install_cryptography();
+            let (spans, exporter) = Exporter::start(endpoint, role)?;
+            // Spans do not depend on what is logged.
+            (Some(spans.with_filter(LevelFilter::INFO)), Some(exporter))
+        }
+    };
+    let log = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    let log = match config.log_format {
+        LogFormat::Text => log.with_ansi(std::io::stderr().is_terminal()).with_filter(filter).boxed(),
+        LogFormat::Json => log.json().flatten_event(true).with_current_span(false).with_filter(filter).boxed(),
+    };
+    tracing_subscriber::registry().with(log).with(spans).init();
     for (name, nearest) in &in_force.strange {
         tracing::warn!("{name} is no setting; did you mean {nearest}?");
     }
-    Ok(())
+    Ok(exporter)
 }
 
 pub fn open_store(data_dir: &Path) -> Result<Arc<Store>> {

@@ -33,7 +33,7 @@ pub fn run(args: Args) -> Result<()> {
         lower_priority();
     }
     let in_force = args.settings.resolve()?;
-    start_log(&in_force)?;
+    let _spans = start_log(&in_force, "worker")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     runtime.block_on(work(&in_force.config, args.renders_on_stdio))
 }

@@ -111,6 +111,9 @@ settings! {
     both log: String = "warn,effigy=info";
     /// How it is logged: lines for people, or JSON objects for programs.
     both log_format: LogFormat = "text";
+    /// An OpenTelemetry collector, as `http://127.0.0.1:4318`: it gets a span for each request, attempt and stage, by OTLP
+    /// over HTTP. Without it nothing is sent.
+    both otlp_endpoint: Option<String> = "";
 }
 
 pub use value::Workers;

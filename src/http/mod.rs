@@ -98,7 +98,7 @@ pub fn router(app: App) -> Router {
         }))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
-        .layer(TraceLayer::new_for_http().make_span_with(span))
+        .layer(TraceLayer::new_for_http().make_span_with(span).on_response(tell_status))
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
 }
 
@@ -123,7 +123,14 @@ fn cors(origins: &[String]) -> CorsLayer {
 
 fn span(request: &Request) -> tracing::Span {
     let id = request.headers().get(REQUEST_ID).and_then(|value| value.to_str().ok()).unwrap_or("");
-    tracing::info_span!("request", method = %request.method(), path = request.uri().path(), id)
+    // Of a trace that the caller is part of (W3C Trace Context).
+    let traceparent = request.headers().get("traceparent").and_then(|value| value.to_str().ok());
+    let (method, path) = (request.method(), request.uri().path());
+    tracing::info_span!("request", %method, path, id, traceparent, status = tracing::field::Empty)
+}
+
+fn tell_status(response: &Response, _: Duration, span: &tracing::Span) {
+    span.record("status", response.status().as_u16());
 }
 
 fn panicked(panic: Box<dyn Any + Send>) -> Response {

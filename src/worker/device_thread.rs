@@ -10,6 +10,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
+use tracing::Span;
 
 use super::engine::{Engine, FitTask};
 use super::pipeline::{Observer, Outcome, PipelineError, Preview, Progress, StopReason};
@@ -43,6 +44,8 @@ pub struct Control {
     /// The first progress of each stage, however short the stage was.
     begun: Mutex<Vec<Progress>>,
     stage_secs: Mutex<BTreeMap<&'static str, f64>>,
+    /// The attempt's, in which the stages are.
+    span: Span,
 }
 
 impl Default for Control {
@@ -55,6 +58,7 @@ impl Default for Control {
             progress: watch::Sender::default(),
             begun: Mutex::default(),
             stage_secs: Mutex::default(),
+            span: Span::current(),
         }
     }
 }
@@ -177,12 +181,12 @@ struct FitObserver<'a> {
     control: Arc<Control>,
     inbox: &'a Receiver<Task>,
     draughtsman: Draughtsman,
-    stage: Option<(&'static str, Instant)>,
+    stage: Option<(&'static str, Instant, Span)>,
 }
 
 impl FitObserver<'_> {
     fn end_stage(&mut self) {
-        if let Some((stage, since)) = self.stage.take() {
+        if let Some((stage, since, _span)) = self.stage.take() {
             *self.control.stage_secs.lock().unwrap().entry(stage).or_default() += since.elapsed().as_secs_f64();
         }
     }
@@ -192,9 +196,10 @@ impl Observer for FitObserver<'_> {
     fn progress(&mut self, progress: &Progress) {
         self.control.is_alive();
         let stage = progress.stage.name();
-        if self.stage.is_none_or(|(current, _)| current != stage) {
+        if self.stage.as_ref().is_none_or(|(current, ..)| *current != stage) {
             self.end_stage();
-            self.stage = Some((stage, Instant::now()));
+            let span = tracing::info_span!(parent: &self.control.span, "stage", stage);
+            self.stage = Some((stage, Instant::now(), span));
             self.control.begun.lock().unwrap().push(progress.clone());
         }
         self.control.progress.send_replace(Some(progress.clone()));

@@ -24,6 +24,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("config", &[]),
     ("page", &[]),
     ("webhooks", &["jobs"]),
+    ("telemetry", &[]),
 ];
 
 const ROOT_LEAVES: &[&str] = &["camera", "npz", "data_dir"];

@@ -142,6 +142,62 @@ fn a_log_for_programs_ties_a_job_to_the_request_that_brought_it() {
     assert_eq!(accepted["spans"][0]["id"], "the-request", "{accepted}");
 }
 
+/// Takes one request as a collector does; its body.
+fn collect(listener: &std::net::TcpListener) -> Value {
+    let (mut connection, _) = listener.accept().unwrap();
+    let mut reader = BufReader::new(connection.try_clone().unwrap());
+    let (mut line, mut length) = (String::new(), 0);
+    reader.read_line(&mut line).unwrap();
+    assert!(line.starts_with("POST /v1/traces "), "{line}");
+    while line.trim() != "" {
+        line.clear();
+        reader.read_line(&mut line).unwrap();
+        if let Some(value) = line.to_lowercase().strip_prefix("content-length:") {
+            length = value.trim().parse().unwrap();
+        }
+    }
+    let mut body = vec![0; length];
+    reader.read_exact(&mut body).unwrap();
+    std::io::Write::write_all(&mut connection, b"HTTP/1.1 200 OK\r\ncontent-length: 0\r\nconnection: close\r\n\r\n")
+        .unwrap();
+    serde_json::from_slice(&body).unwrap()
+}
+
+#[test]
+fn a_collector_gets_the_spans_of_requests() {
+    let data = tempfile::tempdir().unwrap();
+    let collector = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("http://{}", collector.local_addr().unwrap());
+    let serve = Serve::start(data.path(), &["--workers", "0", "--log", "error", "--otlp-endpoint", &endpoint]);
+    let client = reqwest::blocking::Client::new();
+    let get = client.get(format!("{}/v1/jobs/x", serve.url));
+    let get = get.header("traceparent", "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-01");
+    assert_eq!(get.send().unwrap().status(), 404);
+    let told = collect(&collector);
+    let resource = &told["resourceSpans"][0];
+    assert_eq!(
+        resource["resource"]["attributes"][0],
+        json!({ "key": "service.name", "value": { "stringValue": "effigy" } })
+    );
+    let span = &resource["scopeSpans"][0]["spans"][0];
+    assert_eq!((&span["name"], &span["kind"]), (&json!("request"), &json!(2)), "{told:#}");
+    assert_eq!(
+        (span["traceId"].as_str(), span["parentSpanId"].as_str()),
+        (Some("0af7651916cd43dd8448eb211c80319c"), Some("b7ad6b7169203331"))
+    );
+    let attribute = |key: &str| {
+        let found = span["attributes"].as_array().unwrap().iter().find(|attribute| attribute["key"] == key);
+        found.unwrap_or_else(|| panic!("{key}: {span:#}"))["value"].clone()
+    };
+    assert_eq!(attribute("http.response.status_code"), json!({ "intValue": "404" }));
+    assert_eq!(attribute("url.path"), json!({ "stringValue": "/v1/jobs/x" }));
+    // A collector that is gone holds nothing up, and the end sends what is left.
+    assert_eq!(client.get(format!("{}/healthz", serve.url)).send().unwrap().status(), 200);
+    let last = std::thread::spawn(move || collect(&collector));
+    assert!(serve.terminate().success());
+    assert_eq!(last.join().unwrap()["resourceSpans"][0]["scopeSpans"][0]["spans"][0]["name"], "request");
+}
+
 #[test]
 fn a_machine_without_ca_certificates_serves_all_but_webhooks() {
     let data = tempfile::tempdir().unwrap();
