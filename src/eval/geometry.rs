@@ -112,6 +112,39 @@ pub fn align(ours: &Mesh, truth: &Mesh) -> Similarity {
     now
 }
 
+/// Rounds of [`scale_about`]: closest points follow a shift slowly.
+const SCALE_ROUNDS: usize = 100;
+
+/// The scale about `centre` that brings `ours` nearest to `truth`: iterated closest points in both directions. About the camera's
+/// centre it is what one camera cannot tell, since no picture of it changes.
+pub fn scale_about(centre: DVec3, ours: &Mesh, truth: &Mesh) -> f64 {
+    let about = |mesh: &Mesh| -> Vec<DVec3> { positions(mesh).into_iter().map(|p| p - centre).collect() };
+    let (our_vertices, truth_vertices) = (about(ours), about(truth));
+    let our_points = sample(&our_vertices, &ours.faces, ALIGN_SAMPLES, 3);
+    let truth_points = sample(&truth_vertices, &truth.faces, ALIGN_SAMPLES, 4);
+    let our_surface = Surface::new(&our_vertices, &ours.faces);
+    let truth_surface = Surface::new(&truth_vertices, &truth.faces);
+    let mut scale = 1.0;
+    for _ in 0..SCALE_ROUNDS {
+        let (mut top, mut bottom) = (0.0, 0.0);
+        let mut pair = |x: DVec3, y: DVec3| {
+            top += x.dot(y);
+            bottom += x.length_squared();
+        };
+        our_points.iter().for_each(|&p| truth_surface.nearest(scale * p).into_iter().for_each(|(q, _)| pair(p, q)));
+        truth_points.iter().for_each(|&q| our_surface.nearest(q / scale).into_iter().for_each(|(p, _)| pair(p, q)));
+        if bottom <= 0.0 {
+            break;
+        }
+        let step = top / bottom - scale;
+        scale += step;
+        if step.abs() < 1e-6 {
+            break;
+        }
+    }
+    scale
+}
+
 /// The similarity that minimises `Σ ‖s R x + t − y‖²` over pairs (x, y) (Umeyama 1991); `None` where the points have
 /// no extent.
 pub fn umeyama(pairs: &[(DVec3, DVec3)]) -> Option<Similarity> {
@@ -151,6 +184,22 @@ mod tests {
     fn moved(mesh: &Mesh, by: &Similarity) -> Mesh {
         let vertices = mesh.vertices.iter().map(|v| by.apply(DVec3::from(v.map(f64::from))).as_vec3().to_array());
         Mesh { vertices: vertices.collect(), ..mesh.clone() }
+    }
+
+    #[test]
+    fn the_scale_about_the_camera_is_found_whatever_the_size_of_the_body() {
+        let away = |v: &[f32; 3]| [v[0] + 0.1, v[1] - 0.2, v[2] + 3.0];
+        let ours = Mesh { vertices: mesh().vertices.iter().map(away).collect(), ..mesh() };
+        let camera = DVec3::new(0.05, 0.0, -0.1);
+        let larger = |v: &[f32; 3]| (camera + 1.03 * (DVec3::from(v.map(f64::from)) - camera)).as_vec3().to_array();
+        let truth = Mesh { vertices: ours.vertices.iter().map(larger).collect(), ..mesh() };
+        let scale = scale_about(camera, &ours, &truth);
+        assert!((scale - 1.03).abs() < 5e-4, "{scale}");
+        // A body that is thinner and stands at the same place is not nearer.
+        let thin = |v: &[f32; 3]| [0.1 + 0.95 * (v[0] - 0.1), v[1], 3.0 + 0.95 * (v[2] - 3.0)];
+        let thinner = Mesh { vertices: truth.vertices.iter().map(thin).collect(), ..mesh() };
+        let same = Mesh { vertices: thinner.vertices.iter().map(thin).collect(), ..mesh() };
+        assert!((scale_about(camera, &thinner, &same) - 1.0).abs() < 5e-3);
     }
 
     #[test]

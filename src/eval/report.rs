@@ -74,6 +74,8 @@ pub struct GeometryScore {
     pub unaligned: Distances,
     /// Of the alignment: truth over ours.
     pub scale: f64,
+    /// About the camera, truth over ours: what pictures of it leave open.
+    pub camera_scale: f64,
     #[serde(skip)]
     pub alignment: Similarity,
 }
@@ -134,9 +136,9 @@ fn mean<T>(rows: &[T], value: impl Fn(&T) -> f64) -> Option<f64> {
 }
 
 impl Report {
-    /// Mean scale of the alignments, truth over ours: one camera cannot tell a small person near from a tall one far.
+    /// Mean scale about the camera, truth over ours: one camera cannot tell a small person near from a tall one far.
     pub fn scale(&self) -> Option<f64> {
-        mean(&self.geometry, |r| r.scale)
+        mean(&self.geometry, |r| r.camera_scale)
     }
 
     /// Fills the means in from the rows.

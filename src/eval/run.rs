@@ -4,7 +4,7 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 
-use super::geometry::{Similarity, align, distances};
+use super::geometry::{Similarity, align, distances, scale_about};
 use super::image::mask_iou;
 use super::lpips::{Lpips, LpipsError};
 use super::page::{self, Cards, Set};
@@ -184,6 +184,7 @@ fn geometry(model: &AvatarModel, subject: &Subject, i: usize) -> Result<Option<G
         aligned: distances(&ours, &truth, &alignment),
         unaligned: distances(&ours, &truth, &Similarity::IDENTITY),
         scale: alignment.scale,
+        camera_scale: scale_about(DVec3::ZERO, &ours, &truth),
         alignment,
     }))
 }
