@@ -19,27 +19,24 @@ const TOP: f64 = 8.0;
 /// Room for the names.
 const RIGHT: f64 = 140.0;
 const COLOURS: usize = 7;
-/// Powers of ten at most; what is smaller lies on the floor.
-const DECADES: f64 = 4.0;
 
-/// Curves over one x axis, y logarithmic with a line a power of ten; points without a positive y are left out.
+/// Curves over one x axis; y runs from 0 to the largest value of all. Points that are not finite are left out.
 pub fn chart(x_name: &str, curves: &[Curve]) -> String {
     let drawn = |c: &Curve| -> Vec<(f64, f64)> {
-        c.points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite() && *y > 0.0).collect()
+        c.points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
     };
     let lines: Vec<Vec<(f64, f64)>> = curves.iter().map(drawn).collect();
     let all = || lines.iter().flatten();
     let (x0, x1) = range(all().map(|p| p.0));
-    let (low, high) = range(all().map(|p| p.1.log10()));
-    let high = high.ceil();
-    let low = low.floor().clamp(high - DECADES, high - 1.0);
+    let high = all().map(|p| p.1).fold(f64::MIN_POSITIVE, f64::max);
     let px = |x: f64| LEFT + (WIDTH - LEFT - RIGHT) * (x - x0) / (x1 - x0).max(1e-9);
-    let py = |log: f64| TOP + (HEIGHT - TOP - BOTTOM) * (high - log.max(low)) / (high - low);
+    let py = |y: f64| TOP + (HEIGHT - TOP - BOTTOM) * (1.0 - y.max(0.0) / high);
     let mut svg = format!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" role=\"img\">");
-    for power in low as i32..=high as i32 {
-        let y = py(f64::from(power));
-        let (right, name) = (WIDTH - RIGHT, 10f64.powi(power));
+    for quarter in 0..=4 {
+        let value = 0.25 * f64::from(quarter) * high;
+        let (y, right) = (py(value), WIDTH - RIGHT);
         let _ = write!(svg, "<line class=grid x1=\"{LEFT}\" x2=\"{right}\" y1=\"{y:.1}\" y2=\"{y:.1}\"/>");
+        let name = (1e3 * value).round() / 1e3;
         let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{name}</text>", LEFT - 6.0, y + 4.0);
     }
     let floor = HEIGHT - 8.0;
@@ -48,7 +45,7 @@ pub fn chart(x_name: &str, curves: &[Curve]) -> String {
         let colour = format!("var(--c{})", k % COLOURS);
         let mut path = String::new();
         for (i, (x, y)) in line.iter().enumerate() {
-            let _ = write!(path, "{}{:.1} {:.1}", if i == 0 { "M" } else { "L" }, px(*x), py(y.log10()));
+            let _ = write!(path, "{}{:.1} {:.1}", if i == 0 { "M" } else { "L" }, px(*x), py(*y));
         }
         let _ = write!(svg, "<path d=\"{path}\" style=\"stroke:{colour}\"/>");
         let (x, y) = (WIDTH - RIGHT + 10.0, TOP + 12.0 + 17.0 * k as f64);
@@ -68,12 +65,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn points_lie_where_their_logarithm_is() {
+    fn points_lie_where_their_values_are() {
         let curve = |points: &[(f64, f64)]| Curve { name: "loss <1>".to_owned(), points: points.to_vec() };
-        let svg = chart("step", &[curve(&[(1.0, 10.0), (6.0, 0.0), (11.0, 0.1)])]);
-        // Left and top, right and bottom of the frame; what has no logarithm is not drawn.
-        assert!(svg.contains("d=\"M52.0 8.0L420.0 204.0\""), "{svg}");
-        assert!(svg.contains(">10<") && svg.contains(">0.1<") && svg.contains("loss &lt;1&gt;"));
+        let svg = chart("step", &[curve(&[(1.0, 2.0), (6.0, f64::NAN), (6.0, 1.0), (11.0, 0.0)])]);
+        // Left and top, the middle, right and bottom of the frame.
+        assert!(svg.contains("d=\"M52.0 8.0L236.0 106.0L420.0 204.0\""), "{svg}");
+        assert!(svg.contains(">2<") && svg.contains(">0.5<") && svg.contains("loss &lt;1&gt;"));
         assert!(chart("step", &[]).starts_with("<svg"));
     }
 }

@@ -12,6 +12,9 @@ const BELOW_MEDIAN: f64 = 0.04;
 /// Field of view along the longer side: from a phone's tele lens to its widest one.
 const VIEWS_DEGREES: [f64; 2] = [15.0, 110.0];
 
+/// Stage 0 finds focal lengths to some 5 %.
+const FOCAL_OFF: f64 = 1.18;
+
 /// What is known at the end of a fit.
 #[derive(Clone, Debug)]
 pub struct FitFindings<'a> {
@@ -25,11 +28,13 @@ pub struct FitFindings<'a> {
     pub swapped: &'a [u32],
     pub camera: &'a Camera,
     pub camera_estimated: bool,
+    /// The focal length that stage 0 finds when it is free to, over the given one.
+    pub focal_ratio: Option<f64>,
 }
 
 /// The flags that a fit raises.
 pub fn fit_flags(found: &FitFindings<'_>) -> Vec<Flag> {
-    let flags = [no_full_turn(found), focal(found), sides_swapped(found), fit_misses(found)];
+    let flags = [no_full_turn(found), focal(found), focal_contradicted(found), sides_swapped(found), fit_misses(found)];
     flags.into_iter().flatten().collect()
 }
 
@@ -70,6 +75,18 @@ fn focal(found: &FitFindings<'_>) -> Option<Flag> {
     }
     let message = format!("no focal length was given; {focal:.0} px were found");
     found.camera_estimated.then(|| Flag::of_clip(Kind::FocalEstimated, message, focal, 0.0))
+}
+
+fn focal_contradicted(found: &FitFindings<'_>) -> Option<Flag> {
+    let ratio = found.focal_ratio?;
+    let limit = if ratio < 1.0 { 1.0 / FOCAL_OFF } else { FOCAL_OFF };
+    let message = format!(
+        "the clip looks like one of a focal length of {:.0} px, not of the given {:.0}",
+        ratio * found.camera.fx,
+        found.camera.fx
+    );
+    let off = !(1.0 / FOCAL_OFF..=FOCAL_OFF).contains(&ratio);
+    off.then(|| Flag::of_clip(Kind::FocalContradicted, message, ratio, limit))
 }
 
 fn sides_swapped(found: &FitFindings<'_>) -> Option<Flag> {
@@ -127,6 +144,7 @@ mod tests {
             swapped: &[],
             camera: &camera,
             camera_estimated: false,
+            focal_ratio: Some(0.95),
         };
         assert_eq!(fit_flags(&good), []);
         let bad = FitFindings { iou: &iou, poses: &poses, swapped: &[20, 21], camera_estimated: true, ..good.clone() };
@@ -136,6 +154,9 @@ mod tests {
         assert!((flags[0].value - 204.0).abs() < 2.0, "{}", flags[0].value);
         assert_eq!((flags[2].frames.as_slice(), flags[2].value), (&[20, 21][..], 0.05));
         assert_eq!((flags[3].frames.as_slice(), flags[3].value), (&[3, 9][..], 0.5));
+        let flags = fit_flags(&FitFindings { focal_ratio: Some(1.4), ..good.clone() });
+        assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("focal_contradicted", 1.4)]);
+        assert!(flags[0].message.contains("980 px") && flags[0].message.contains("given 700"), "{}", flags[0].message);
         let odd = Camera { fy: 4000.0, ..camera.clone() };
         let flags = fit_flags(&FitFindings { camera: &odd, ..good });
         assert_eq!(flags.iter().map(|f| f.code).collect::<Vec<_>>(), ["focal_suspicious"]);

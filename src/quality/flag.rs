@@ -19,19 +19,21 @@ pub enum Kind {
     LowResolution,
     FocalEstimated,
     FocalSuspicious,
+    FocalContradicted,
     Spikes,
     FlippedFaces,
     UnseenArea,
 }
 
 /// In the order in which reports show them.
-pub const KINDS: [Kind; 17] = [
+pub const KINDS: [Kind; 18] = [
     Kind::NoFullTurn,
     Kind::FewFrames,
     Kind::LowResolution,
     Kind::BlurredClip,
     Kind::FocalEstimated,
     Kind::FocalSuspicious,
+    Kind::FocalContradicted,
     Kind::KeypointsOffMask,
     Kind::FewKeypoints,
     Kind::SidesSwapped,
@@ -63,6 +65,7 @@ impl Kind {
             Kind::LowResolution => "low_resolution",
             Kind::FocalEstimated => "focal_estimated",
             Kind::FocalSuspicious => "focal_suspicious",
+            Kind::FocalContradicted => "focal_contradicted",
             Kind::Spikes => "spikes",
             Kind::FlippedFaces => "flipped_faces",
             Kind::UnseenArea => "unseen_area",
@@ -86,6 +89,7 @@ impl Kind {
             Kind::LowResolution => "px of the person's height, median",
             Kind::FocalEstimated => "px",
             Kind::FocalSuspicious => "degrees along the longer side",
+            Kind::FocalContradicted => "focal length that the clip tells, over the given one",
             Kind::Spikes => "vertices",
             Kind::FlippedFaces | Kind::UnseenArea => "of the surface",
         }
@@ -125,6 +129,10 @@ impl Kind {
             Kind::FocalSuspicious => {
                 "Check the focal length: it belongs to the size of these very images, in pixels, and no phone is known \
                  for such a view."
+            }
+            Kind::FocalContradicted => {
+                "Check the focal length: it belongs to the size of these very images, in pixels; leave the camera away where \
+                 it is not known, and it is found."
             }
             Kind::Spikes => "Look at the mesh: vertices stick out where masks or poses contradict each other.",
             Kind::FlippedFaces => {

@@ -112,6 +112,7 @@ fn a_clip_becomes_an_avatar_that_looks_like_the_person() {
     let codes: Vec<&str> = quality["flags"].as_array().unwrap().iter().map(|f| f["code"].as_str().unwrap()).collect();
     assert!(codes.starts_with(&["few_frames", "low_resolution"]), "12 frames of 96 pixels: {codes:?}");
     assert!(!codes.contains(&"no_full_turn") && !codes.contains(&"focal_estimated"), "{codes:?}");
+    assert!(!codes.contains(&"focal_contradicted"), "{codes:?}");
     assert_eq!(quality["frames"].as_array().unwrap().len(), 12);
     let page = std::fs::read_to_string(folder.path().join("out/report.html")).unwrap();
     for shown in ["few_frames", "Stage 1", "Stage 2", "face area", "frame 11", "the avatar from ten sides", "geometry"]
@@ -157,6 +158,27 @@ fn previews_show_the_avatar_emerge(previews: &[Preview]) {
     let colour = |picture| person(picture).iter().sum::<f64>() / person(picture).len() as f64;
     let (first, last) = (colour(&pictures[0]), colour(&pictures[pictures.len() - 1]));
     assert!(first < 8.0 && last > 15.0, "from grey ({first}) to colours ({last})");
+}
+
+#[test]
+fn a_wrong_focal_length_is_told() {
+    let Some(gpu) = gpu("a_wrong_focal_length_is_told") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut input = input(clip(&gpu));
+    let mut camera: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(input.camera.as_ref().unwrap()).unwrap()).unwrap();
+    for name in ["fx", "fy"] {
+        camera[name] = (0.6 * camera[name].as_f64().unwrap()).into();
+    }
+    let wrong = folder.path().join("camera.json");
+    std::fs::write(&wrong, camera.to_string()).unwrap();
+    input.camera = Some(wrong);
+    run(&gpu, &input, folder.path(), &mut Witness::default()).unwrap();
+    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    let flags = report["quality"]["flags"].as_array().unwrap();
+    let flag = flags.iter().find(|f| f["code"] == "focal_contradicted").unwrap();
+    assert!((flag["value"].as_f64().unwrap() * 0.6 - 1.0).abs() < 0.2, "{flag:#}");
 }
 
 #[test]

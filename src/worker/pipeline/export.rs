@@ -24,6 +24,8 @@ pub(super) struct Fitted {
     pub capture: Capture,
     /// Of the clip as it came.
     pub measures: Vec<FrameMeasures>,
+    /// See [`FitFindings::focal_ratio`](crate::quality::FitFindings::focal_ratio).
+    pub focal_ratio: Option<f64>,
     pub start: Stage0Result,
     pub state: FitState,
     pub config: FitConfig,

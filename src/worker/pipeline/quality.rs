@@ -25,6 +25,7 @@ impl<'a> Quality<'a> {
             swapped: &swapped,
             camera: &model.camera,
             camera_estimated: fitted.capture.camera_estimated,
+            focal_ratio: fitted.focal_ratio,
         };
         let undressed = model.body.shaped_vertices(&model.betas);
         let surface = quality::check_surface(&model.rest_vertices(), &undressed, &model.body.faces, seen);

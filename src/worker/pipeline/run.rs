@@ -10,7 +10,7 @@ use anyhow::anyhow;
 use super::preview::Previews;
 use super::{Observer, Outcome, PipelineError, PipelineInput, Preview, Progress, Stage, StopReason, export};
 use crate::body::Body;
-use crate::capture::{Capture, CaptureOptions};
+use crate::capture::{Capture, CaptureOptions, Frame};
 use crate::fit::stage0::{self, Stage0Error, Stage0Options, Stage0Result};
 use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
 use crate::gpu::Gpu;
@@ -50,6 +50,7 @@ pub fn run(
     let measures = quality::measure(&capture);
     monitor.start(Stage::Pose)?;
     let start = solve_poses(&body, &capture, input.options.height_m, &mut monitor)?;
+    let focal_ratio = focal_ratio(&body, &capture, &mut monitor);
     start.reread(&mut capture);
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
@@ -66,7 +67,7 @@ pub fn run(
     monitor.start(Stage::Geometry)?;
     let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
     let state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
-    let done = export::Fitted { body, capture, measures, start, state, config };
+    let done = export::Fitted { body, capture, measures, focal_ratio, start, state, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)
 }
 
@@ -121,6 +122,36 @@ fn solve_poses(
         Stage0Error::Stopped => PipelineError::Stopped(monitor.stopped.unwrap_or(StopReason::Shutdown)),
         other => PipelineError::Unfit(other.to_string()),
     })
+}
+
+/// Frames that tell the focal length well enough.
+const FOCAL_FRAMES: usize = 24;
+
+/// What stage 0 makes of the focal length when it is not bound to the given one, over that one: a wrong one shifts the whole
+/// person in depth, and nothing else would tell. `None` where none was given, where poses were, or where nothing is found.
+fn focal_ratio(body: &Body, capture: &Capture, monitor: &mut Monitor<'_>) -> Option<f64> {
+    if capture.camera_estimated || capture.poses.is_some() {
+        return None;
+    }
+    let (all, kept) = (capture.frames.len(), capture.frames.len().min(FOCAL_FRAMES));
+    // Stage 0 looks at masks and keypoints.
+    let thin = |frame: &Frame| Frame {
+        rgb: Vec::new(),
+        mask: frame.mask.clone(),
+        keypoints: frame.keypoints.clone(),
+        ..*frame
+    };
+    let free = Capture {
+        camera: capture.camera.clone(),
+        camera_estimated: true,
+        fps: capture.fps,
+        frames: (0..kept).map(|i| thin(&capture.frames[i * all / kept])).collect(),
+        keypoint_format: capture.keypoint_format.clone(),
+        poses: None,
+        warnings: Vec::new(),
+    };
+    let found = stage0::solve(body, &free, &Stage0Options::default(), &mut |_| monitor.go_on()).ok()?;
+    Some(found.camera.fx / capture.camera.fx)
 }
 
 fn from_fit(error: FitError, stopped: Option<StopReason>) -> PipelineError {
