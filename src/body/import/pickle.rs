@@ -5,10 +5,11 @@
 
 use std::cell::RefCell;
 use std::collections::HashMap;
+use std::fmt;
 use std::rc::Rc;
 
-/// A value of a pickle; lists, dictionaries and objects are shared as they were in Python.
-#[derive(Clone, Debug)]
+/// A value of a pickle; lists, dictionaries and objects are shared as they were in Python, and may hold themselves.
+#[derive(Clone)]
 pub enum Value {
     None,
     Bool(bool),
@@ -32,6 +33,25 @@ pub struct Object {
     pub args: Value,
     /// Set by `BUILD` (`__setstate__`).
     pub state: Value,
+}
+
+/// For errors: what it is, not what it holds, which may have no end.
+impl fmt::Debug for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Value::None => f.write_str("None"),
+            Value::Bool(value) => write!(f, "{value}"),
+            Value::Int(value) => write!(f, "{value}"),
+            Value::Float(value) => write!(f, "{value}"),
+            Value::Bytes(bytes) => write!(f, "{} bytes", bytes.len()),
+            Value::Text(text) => write!(f, "a text of {} bytes", text.len()),
+            Value::List(items) => write!(f, "a list of {}", items.borrow().len()),
+            Value::Tuple(items) => write!(f, "a tuple of {}", items.len()),
+            Value::Dict(entries) => write!(f, "a dictionary of {}", entries.borrow().len()),
+            Value::Global(name) => write!(f, "{name}"),
+            Value::Object(_) => f.write_str("an object"),
+        }
+    }
 }
 
 impl Value {

@@ -19,7 +19,7 @@ pub fn dictionary(value: &Value) -> Result<Npz, String> {
     let mut npz = Npz::default();
     for (key, value) in entries.borrow().iter() {
         let Some(key) = key.string() else { continue };
-        match array(value) {
+        match array(value, 0) {
             Ok(Some(array)) => _ = npz.arrays.insert(key, array),
             Ok(None) => npz.skipped.push(key),
             Err(reason) => return Err(format!("`{key}`: {reason}")),
@@ -41,7 +41,13 @@ fn class(object: &Object) -> String {
     }
 }
 
-fn array(value: &Value) -> Result<Option<Array>, String> {
+/// Arrays lie in objects that lie in objects, a few deep; an object may also hold itself.
+const MAX_DEPTH: usize = 8;
+
+fn array(value: &Value, depth: usize) -> Result<Option<Array>, String> {
+    if depth > MAX_DEPTH {
+        return Err("objects within objects without an end".to_owned());
+    }
     let Value::Object(object) = value else { return Ok(numbers(value)) };
     let object = object.borrow();
     let class = class(&object);
@@ -54,7 +60,7 @@ fn array(value: &Value) -> Result<Option<Array>, String> {
         let fortran = order.string().as_deref() == Some("F");
         return decode(data, dtype, shape, fortran).map(Some);
     }
-    let field = |name: &str| object.state.get(name).map(|v| array(&v)).transpose().map(Option::flatten);
+    let field = |name: &str| object.state.get(name).map(|v| array(&v, depth + 1)).transpose().map(Option::flatten);
     if class.starts_with("scipy.sparse") {
         return sparse(&class, &object.state, field).map(Some);
     }
