@@ -132,8 +132,9 @@ fn a_disk_that_fills_under_a_fit_makes_it_wait_for_room() {
     let rig = Rig::start(data, &["--disk-reserve-bytes", "33554432"], &[]);
     let filler = data.join("filler");
 
-    // Not a byte left in the first stage: its checkpoint cannot be written, nor can the database say so.
-    let job = rig.post();
+    // Not a byte left in the first stage: its checkpoint cannot be written, nor can the database say so. The fit is a long one:
+    // on a busy machine a short stage may pass between two looks at it.
+    let job = rig.post_with(json!({ "preset": "standard", "max_frames": 6 }));
     rig.until(&job, |job| job["stage"] == "geometry" && job["step"].as_u64() > Some(2));
     disk.fill();
     let steps = rig.ask(&job)["step"].clone();
