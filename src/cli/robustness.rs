@@ -135,7 +135,7 @@ fn write(args: &Args, settings: &Settings, device: &str, rows: &[(&Case, Outcome
         .as_ref()
         .and_then(|clip| clip.file_name())
         .map_or(String::new(), |name| format!(" {}", name.to_string_lossy()));
-    let mut command = format!("effigy robustness{clip} --preset {}", args.preset);
+    let mut command = format!("effigy robustness{clip} --preset {} --truths {}", args.preset, args.truths);
     if let Some(frames) = args.max_frames {
         command += &format!(" --max-frames {frames}");
     }
