@@ -31,7 +31,16 @@ torture: setup build
 	scripts/schemathesis.sh "$(EFFIGY)"
 	EFFIGY_TORTURE_STREAMS=5000 cargo test --locked --test it service::hostile::corrupted -- --nocapture
 
-.PHONY: demo test test-lpips torture fuzz results setup build lint body openapi validate-glb
+## Every parser under cargo-fuzz, FUZZ_SECS seconds each. Needs a nightly toolchain and `cargo install cargo-fuzz`.
+FUZZ_SECS := 600
+fuzz:
+	set -e; for target in $(basename $(notdir $(wildcard fuzz/fuzz_targets/*.rs))); do \
+		cargo +nightly fuzz run $$target -- -max_total_time=$(FUZZ_SECS); done
+
+## Lints and tests of the optional feature: LPIPS by a network that the user gives.
+test-lpips: setup
+	cargo clippy --locked --all-targets --features lpips -- -D warnings
+	cargo test --locked --lib --features lpips eval::lpips
 
 ## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, Node.js, CA certificates).
 setup:
