@@ -9,6 +9,7 @@ use super::AvatarModel;
 use super::pose::{Pose, vertex_normals};
 use super::texture::SurfaceTexture;
 use super::trace::{MAX_SIDE_PX, Picture, Shading, SurfacePoint, Tracer};
+use crate::body::Body;
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
 use crate::ops::skinning::cpu::{Posed, forward};
@@ -21,6 +22,19 @@ pub enum Place {
     Transl([f32; 3]),
     /// The position of the pelvis joint.
     Pelvis([f32; 3]),
+}
+
+impl Place {
+    /// The same place as SMPL's `transl`, for a body of these betas.
+    pub fn transl(self, body: &Body, betas: &[f32]) -> [f32; 3] {
+        match self {
+            Place::Transl(transl) => transl,
+            Place::Pelvis(pelvis) => {
+                let at = body.shaped_joints(betas)[0];
+                std::array::from_fn(|k| pelvis[k] - at[k])
+            }
+        }
+    }
 }
 
 /// What lies behind the person.
@@ -205,13 +219,7 @@ impl Renderer {
         spec.check(&self.model)?;
         let model = &self.model;
         let betas = spec.betas.as_deref().unwrap_or(&model.betas);
-        let transl = match spec.place {
-            Place::Transl(transl) => transl,
-            Place::Pelvis(pelvis) => {
-                let at = model.body.shaped_joints(betas)[0];
-                std::array::from_fn(|k| pelvis[k] - at[k])
-            }
-        };
+        let transl = spec.place.transl(&model.body, betas);
         let posed = forward(&model.body, betas, Some(&model.offsets), &spec.pose, transl);
         Ok(self
             .tracer

@@ -55,7 +55,8 @@ pub fn run(args: Args) -> Result<()> {
     let name = clip.file_name().context("the clip's folder has no name")?.to_string_lossy().into_owned();
     let frames = args.max_frames.map_or(String::new(), |n| format!("-{n}"));
     let settings = Settings {
-        work: work.join(format!("{name}-{}{frames}-{}", args.preset, args.seed)),
+        // All that a result hangs on: one of other settings is none of this run's.
+        work: work.join(format!("{name}-{}-{}{frames}-{}-{}", args.body, args.preset, args.truths, args.seed)),
         clip,
         effigy: std::env::current_exe()?,
         preset: args.preset.clone(),
@@ -91,7 +92,7 @@ fn chosen(names: &[String]) -> Result<Vec<&'static Case>> {
 }
 
 fn made(gpu: &std::sync::Arc<Gpu>, args: &Args, work: &std::path::Path) -> Result<PathBuf> {
-    let folder = work.join(format!("made-{}-{}x{}-{}", args.body, args.frames, args.size, args.seed));
+    let folder = work.join(format!("made-{}-{}x{}-{}-{}", args.body, args.frames, args.size, args.truths, args.seed));
     if folder.is_dir() {
         return Ok(folder);
     }

@@ -46,12 +46,6 @@ pub fn flip_map(reference: &RgbImage, test: &RgbImage) -> Vec<f32> {
     (0..seen_a.len()).map(error).collect()
 }
 
-/// Mean of [`flip_map`].
-pub fn flip(reference: &RgbImage, test: &RgbImage) -> f64 {
-    let map = flip_map(reference, test);
-    map.iter().map(|&e| f64::from(e)).sum::<f64>() / map.len() as f64
-}
-
 /// Differences up to `PC` of the most take the range up to `PT`.
 fn redistributed(difference: f64, most: f64) -> f64 {
     let knee = PC * most;
@@ -181,6 +175,12 @@ fn convolved(plane: &Plane, width: usize, along: &[f64], across: &[f64]) -> Plan
 #[cfg(test)]
 mod tests {
     use image::Rgb;
+
+    /// Mean of [`flip_map`].
+    fn flip(reference: &RgbImage, test: &RgbImage) -> f64 {
+        let map = flip_map(reference, test);
+        map.iter().map(|&e| f64::from(e)).sum::<f64>() / map.len() as f64
+    }
 
     use super::*;
 

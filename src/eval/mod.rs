@@ -13,12 +13,12 @@ mod shot;
 mod subject;
 mod synth;
 
-pub use self::flip::{flip, flip_map};
+pub use self::flip::flip_map;
 pub use self::geometry::{Distances, Similarity, align, distances, sample, umeyama};
 pub use self::image::{mask_iou, psnr, psnr_inside, ssim, ssim_inside};
 pub use self::lpips::{Lpips, LpipsError};
 pub use nearest::Surface;
-pub use report::{FrameIou, GeometryScore, ImageMeans, ImageScore, JointScore, Report, Summary};
+pub use report::{FrameIou, GeometryScore, ImageFigures, ImageScore, JointScore, Report, Summary};
 pub use run::{EvalError, EvalOptions, evaluate};
 pub use subject::{Novel, NovelPose, Subject, SubjectError};
 pub use synth::{Outfit, SynthError, SynthOptions, synthesise};

@@ -108,16 +108,17 @@ fn pictures(page: &mut Page, cards: &Cards) {
         if of_set.is_empty() {
             continue;
         }
-        of_set.sort_by(|a, b| a.1.psnr_db.total_cmp(&b.1.psnr_db));
+        of_set.sort_by(|a, b| a.1.figures.psnr_db.total_cmp(&b.1.figures.psnr_db));
         page.heading(title);
         page.paragraph(
             "Worst first. Truth, ours, where only one of them is (blue: truth, red: ours), and FLIP from dark (0) to light (1).",
         );
         let figures = of_set.iter().map(|(_, s, html)| {
-            let foreground = s.psnr_foreground_db.map_or("—".to_owned(), |v| format!("{v:.1}"));
+            let f = &s.figures;
+            let foreground = f.psnr_foreground_db.map_or("—".to_owned(), |v| format!("{v:.1}"));
             let caption = format!(
                 "{}: PSNR {:.1} dB, foreground {foreground} dB, SSIM {:.3}, FLIP {:.3}",
-                s.name, s.psnr_db, s.ssim, s.flip
+                s.name, f.psnr_db, f.ssim, f.flip
             );
             (html.clone(), caption)
         });
@@ -143,7 +144,7 @@ fn frames(page: &mut Page, report: &Report) {
                 g.aligned.chamfer_cm,
                 g.unaligned.point_to_surface_cm,
                 g.unaligned.chamfer_cm,
-                g.scale,
+                g.camera_scale,
             ];
             std::iter::once(g.frame.to_string()).chain(numbers.iter().map(|v| format!("{v:.3}"))).collect()
         };

@@ -18,13 +18,7 @@ pub(super) fn refined(renderer: &Renderer, novel: &Novel, spec: RenderSpec) -> R
     let model = renderer.model();
     let (picture, mask) = novel.open()?;
     let Some(frame) = frame(&picture, &mask) else { return Ok(spec) };
-    let transl = match spec.place {
-        Place::Transl(transl) => transl,
-        Place::Pelvis(pelvis) => {
-            let at = model.body.shaped_joints(&model.betas)[0];
-            std::array::from_fn(|k| pelvis[k] - at[k])
-        }
-    };
+    let transl = spec.place.transl(&model.body, &model.betas);
     let config = FitConfig { field: model.texture_config, ..FitConfig::standard(0) };
     let state = state_of(model, &spec, transl);
     let state = refine_pose(renderer.gpu(), &model.body, &novel.camera, frame, state, &config)?;

@@ -2,10 +2,9 @@
 
 use super::geometry::{Distances, Similarity};
 
-/// A held-out picture against ours.
-#[derive(Clone, Debug, serde::Serialize)]
-pub struct ImageScore {
-    pub name: String,
+/// How alike two pictures are, or means over such pictures.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct ImageFigures {
     /// On white, the whole picture.
     pub psnr_db: f64,
     pub ssim: f64,
@@ -22,37 +21,29 @@ pub struct ImageScore {
     pub lpips: Option<f64>,
 }
 
-/// Means over pictures; see [`ImageScore`].
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct ImageMeans {
-    pub psnr_db: f64,
-    pub ssim: f64,
-    pub psnr_black_db: f64,
-    pub ssim_black: f64,
-    pub psnr_foreground_db: Option<f64>,
-    pub ssim_foreground: Option<f64>,
-    pub flip: f64,
-    pub flip_foreground: Option<f64>,
-    /// On white, by the network that was given.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lpips: Option<f64>,
+/// A held-out picture against ours.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct ImageScore {
+    pub name: String,
+    #[serde(flatten)]
+    pub figures: ImageFigures,
 }
 
-impl ImageMeans {
-    /// `None` without pictures.
-    pub fn of(rows: &[ImageScore]) -> Option<Self> {
-        let some = |value: fn(&ImageScore) -> Option<f64>| {
-            let values: Vec<f64> = rows.iter().filter_map(value).collect();
+impl ImageFigures {
+    /// Means; `None` without pictures.
+    pub fn mean(rows: &[ImageScore]) -> Option<Self> {
+        let some = |value: fn(&ImageFigures) -> Option<f64>| {
+            let values: Vec<f64> = rows.iter().filter_map(|r| value(&r.figures)).collect();
             mean(&values, |v| *v)
         };
         Some(Self {
-            psnr_db: mean(rows, |r| r.psnr_db)?,
-            ssim: mean(rows, |r| r.ssim)?,
-            psnr_black_db: mean(rows, |r| r.psnr_black_db)?,
-            ssim_black: mean(rows, |r| r.ssim_black)?,
+            psnr_db: mean(rows, |r| r.figures.psnr_db)?,
+            ssim: mean(rows, |r| r.figures.ssim)?,
+            psnr_black_db: mean(rows, |r| r.figures.psnr_black_db)?,
+            ssim_black: mean(rows, |r| r.figures.ssim_black)?,
             psnr_foreground_db: some(|r| r.psnr_foreground_db),
             ssim_foreground: some(|r| r.ssim_foreground),
-            flip: mean(rows, |r| r.flip)?,
+            flip: mean(rows, |r| r.figures.flip)?,
             flip_foreground: some(|r| r.flip_foreground),
             lpips: some(|r| r.lpips),
         })
@@ -90,15 +81,15 @@ pub struct JointScore {
 /// Means; absent where the folder has no such truth.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct Summary {
-    pub novel_views: Option<ImageMeans>,
-    pub novel_poses: Option<ImageMeans>,
+    pub novel_views: Option<ImageFigures>,
+    pub novel_poses: Option<ImageFigures>,
     /// As the two above, in our scale.
-    pub scaled_novel_views: Option<ImageMeans>,
-    pub scaled_novel_poses: Option<ImageMeans>,
+    pub scaled_novel_views: Option<ImageFigures>,
+    pub scaled_novel_poses: Option<ImageFigures>,
     /// After the similarity of their frame's surface.
-    pub aligned_novel_views: Option<ImageMeans>,
+    pub aligned_novel_views: Option<ImageFigures>,
     /// In our scale, with poses that were refined on the very pictures.
-    pub refined_novel_poses: Option<ImageMeans>,
+    pub refined_novel_poses: Option<ImageFigures>,
     /// Truth over ours.
     pub scale: Option<f64>,
     pub mask_iou: Option<f64>,
@@ -144,12 +135,12 @@ impl Report {
     /// Fills the means in from the rows.
     pub fn summarise(&mut self) {
         self.summary = Summary {
-            novel_views: ImageMeans::of(&self.novel_views),
-            novel_poses: ImageMeans::of(&self.novel_poses),
-            scaled_novel_views: ImageMeans::of(&self.scaled_novel_views),
-            scaled_novel_poses: ImageMeans::of(&self.scaled_novel_poses),
-            aligned_novel_views: ImageMeans::of(&self.aligned_novel_views),
-            refined_novel_poses: ImageMeans::of(&self.refined_novel_poses),
+            novel_views: ImageFigures::mean(&self.novel_views),
+            novel_poses: ImageFigures::mean(&self.novel_poses),
+            scaled_novel_views: ImageFigures::mean(&self.scaled_novel_views),
+            scaled_novel_poses: ImageFigures::mean(&self.scaled_novel_poses),
+            aligned_novel_views: ImageFigures::mean(&self.aligned_novel_views),
+            refined_novel_poses: ImageFigures::mean(&self.refined_novel_poses),
             scale: self.scale(),
             mask_iou: mean(&self.mask_iou, |r| r.iou),
             chamfer_cm: mean(&self.geometry, |r| r.aligned.chamfer_cm),
@@ -193,8 +184,8 @@ impl Report {
     /// Names and means of the sets of pictures that there are: PSNR and SSIM on white, on black and of the foreground, FLIP
     /// of the picture and of the foreground, LPIPS.
     pub fn picture_rows(&self) -> Vec<(&'static str, [Option<f64>; 9])> {
-        let means = self.picture_sets().into_iter().filter_map(|(name, rows)| Some((name, ImageMeans::of(rows)?)));
-        let row = |m: ImageMeans| {
+        let means = self.picture_sets().into_iter().filter_map(|(name, rows)| Some((name, ImageFigures::mean(rows)?)));
+        let row = |m: ImageFigures| {
             let on_colours = [m.psnr_db, m.ssim, m.psnr_black_db, m.ssim_black].map(Some);
             let [a, b, c, d] = on_colours;
             [a, b, c, d, m.psnr_foreground_db, m.ssim_foreground, Some(m.flip), m.flip_foreground, m.lpips]

@@ -5,7 +5,7 @@ use image::{GrayImage, Rgb, RgbImage, RgbaImage};
 use super::flip::flip_map;
 use super::image::{psnr, psnr_inside, ssim, ssim_inside};
 use super::lpips::Lpips;
-use super::report::ImageScore;
+use super::report::{ImageFigures, ImageScore};
 use super::run::EvalError;
 use super::subject::Novel;
 use crate::avatar::{Background, RenderSpec, Renderer};
@@ -44,8 +44,7 @@ impl Shot {
         let (dark_truth, dark_ours) = self.on(BLACK);
         let errors = flip_map(&truth, &ours);
         let inside = errors.iter().zip(self.mask.pixels()).filter(|(_, m)| m.0[0] >= 128).map(|(e, _)| *e);
-        Ok(ImageScore {
-            name: self.name.clone(),
+        let figures = ImageFigures {
             psnr_db: psnr(&truth, &ours),
             ssim: ssim(&truth, &ours),
             psnr_black_db: psnr(&dark_truth, &dark_ours),
@@ -55,7 +54,8 @@ impl Shot {
             flip: mean(errors.iter().copied()).unwrap_or(0.0),
             flip_foreground: mean(inside),
             lpips: lpips.map(|network| network.distance(&truth, &ours)).transpose()?,
-        })
+        };
+        Ok(ImageScore { name: self.name.clone(), figures })
     }
 
     /// Both over a colour.

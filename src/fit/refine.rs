@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::config::{FitConfig, Phase, Rates};
 use super::scene::Scene;
-use super::schedule::{Step, Work};
+use super::schedule::{Step, Work, decay};
 use super::stage::StageWork;
 use super::state::{FitState, Stage};
 use super::{FitError, Inputs, check_finite, frames};
@@ -63,9 +63,7 @@ pub fn refine_pose(
     for (phase, steps) in phases.iter().zip(STEPS) {
         for _ in 0..steps {
             number += 1;
-            // Down to a tenth, as in a fit.
-            let rate = 0.1f32.powf(number as f32 / all as f32);
-            work.step(&Step { phase, frames: &[0], trust: &[1.0], rate, number })?;
+            work.step(&Step { phase, frames: &[0], trust: &[1.0], rate: decay(number, all), number })?;
             state.step = number;
         }
     }

@@ -155,7 +155,7 @@ fn sampled(errors: &[Option<f32>], trust: &[f32], rng: &mut Pcg32) -> Vec<usize>
 }
 
 /// Learning rates fall to a tenth over the stage.
-fn decay(step: u32, steps: u32) -> f32 {
+pub(super) fn decay(step: u32, steps: u32) -> f32 {
     0.1f32.powf(step as f32 / steps.max(1) as f32)
 }
 

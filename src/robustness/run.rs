@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::cases::Case;
 use super::footage::Footage;
 use crate::avatar::{AvatarModel, Renderer};
-use crate::eval::{EvalOptions, ImageMeans, Subject, evaluate};
+use crate::eval::{EvalOptions, ImageFigures, Subject, evaluate};
 use crate::gpu::Gpu;
 use crate::page::{shrunk, strip};
 
@@ -165,7 +165,7 @@ fn measure(
     let options = EvalOptions { out: Some(&pictures), ..EvalOptions::default() };
     let report = evaluate(&Renderer::new(gpu, &model)?, &truth, &options, |_| {})?;
     let scaled = report.scale().is_some();
-    let choose = |ours: &Option<ImageMeans>, plain: &Option<ImageMeans>| {
+    let choose = |ours: &Option<ImageFigures>, plain: &Option<ImageFigures>| {
         if scaled { ours.as_ref().map(|m| m.psnr_db) } else { plain.as_ref().map(|m| m.psnr_db) }
     };
     let s = &report.summary;

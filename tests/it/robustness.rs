@@ -34,7 +34,7 @@ fn spoiled_clips_are_compared_with_the_clean_one_and_not_twice() {
     );
 
     // A result that is there is believed.
-    let work = folder.path().join("work/made-test-8x64-0-draft-0/clean/result.json");
+    let work = folder.path().join("work/made-test-8x64-1-0-test-draft-1-0/clean/result.json");
     let mut result: serde_json::Value = serde_json::from_slice(&std::fs::read(&work).unwrap()).unwrap();
     result["views_db"] = 99.0.into();
     std::fs::write(&work, result.to_string()).unwrap();
