@@ -7,6 +7,7 @@ pub mod camera;
 pub mod capture;
 pub mod config;
 pub mod data_dir;
+pub mod distance;
 pub mod eval;
 pub mod fit;
 pub mod gpu;

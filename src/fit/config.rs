@@ -79,7 +79,7 @@ pub enum FrameSampling {
 /// One stretch of a stage at one resolution.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Phase {
-    /// Passes over all frames.
+    /// Passes over all frames, where they are enough for [`FitConfig::min_steps_a_pass`].
     pub epochs: u32,
     /// 0 = full resolution, 1 = half.
     pub level: usize,
@@ -111,6 +111,9 @@ pub struct FitConfig {
     pub seed: u64,
     /// Frames a step.
     pub batch: usize,
+    /// What a pass over the clip has at least; a clip of fewer frames is passed over more often. A texture needs its steps
+    /// however few its frames are.
+    pub min_steps_a_pass: u32,
     pub frame_sampling: FrameSampling,
     pub silhouette_gradient: SilhouetteGradient,
     /// Whether each phase of stage 1 starts from the face colours that are best for its geometry, solved in closed form.
@@ -132,6 +135,12 @@ pub struct FitConfig {
 }
 
 impl FitConfig {
+    /// Passes of a phase over a clip of `n_frames`, and the steps of each.
+    pub fn passes(&self, phase: &Phase, n_frames: usize) -> (u32, u32) {
+        let steps = n_frames.div_ceil(self.batch).max(1) as u32;
+        (phase.epochs * self.min_steps_a_pass.div_ceil(steps).max(1), steps)
+    }
+
     /// The phases of all stages.
     pub fn phases(&self) -> impl Iterator<Item = &Phase> {
         self.geometry.phases.iter().chain(&self.texture.phases)
@@ -156,6 +165,7 @@ impl FitConfig {
         Self {
             seed,
             batch: 4,
+            min_steps_a_pass: 6,
             frame_sampling: FrameSampling::ByError,
             silhouette_gradient: SilhouetteGradient::Edge,
             solve_face_colours: true,
@@ -209,6 +219,7 @@ impl FitConfig {
         let plain = Phase { preconditioner: Preconditioner::None, ..FINE };
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
+        config.min_steps_a_pass = 1;
         config.rates.offsets = DIRECT_OFFSET_RATE;
         config.frame_sampling = FrameSampling::Uniform;
         config.solve_face_colours = false;
@@ -270,6 +281,15 @@ mod tests {
             let json = serde_json::to_string(&config).unwrap();
             assert_eq!(serde_json::from_str::<FitConfig>(&json).unwrap(), config);
         }
+    }
+
+    #[test]
+    fn short_clips_are_passed_over_more_often() {
+        let config = FitConfig::standard(0);
+        let phase = Phase { epochs: 10, ..FINE };
+        let passes = [1, 8, 20, 24, 61].map(|n| config.passes(&phase, n));
+        assert_eq!(passes, [(60, 1), (30, 2), (20, 5), (10, 6), (10, 16)]);
+        assert_eq!(FitConfig::paper(0).passes(&phase, 8), (10, 2), "the paper's passes are its own");
     }
 
     #[test]

@@ -57,17 +57,18 @@ pub(super) fn run(
     outside: &mut Outside<'_>,
 ) -> Result<(), FitError> {
     let n_frames = scene.frames.len();
-    let batches = n_frames.div_ceil(config.batch) as u32;
-    let steps: u32 = phases.iter().map(|p| p.epochs * batches).sum();
+    let of_phase = |phase: &Phase| config.passes(phase, n_frames);
+    let steps: u32 = phases.iter().map(of_phase).map(|(passes, each)| passes * each).sum();
     let mut pace = Pace::new();
     let mut number = 0;
     for (nth, phase) in phases.iter().enumerate() {
-        if number + phase.epochs * batches <= state.step {
-            number += phase.epochs * batches;
+        let (passes, each) = of_phase(phase);
+        if number + passes * each <= state.step {
+            number += passes * each;
             continue;
         }
         work.start_phase(phase)?;
-        for epoch in 0..phase.epochs {
+        for epoch in 0..passes {
             let mut rng = epoch_rng(config.seed, state.stage, nth, epoch);
             let (order, trust) = match config.frame_sampling {
                 FrameSampling::Uniform => ((0..n_frames).collect(), vec![1.0; n_frames]),

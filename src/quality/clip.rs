@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::flag::{Flag, Kind};
 use super::mask::Mask;
+use super::mask_edge::{self, edge_offset};
 use super::sharpness::sharpness;
 use crate::capture::{Capture, Frame};
 
@@ -43,6 +44,8 @@ pub struct FrameMeasures {
     pub border_px: [usize; 4],
     /// See [`sharpness`](mod@super::sharpness); `None` where it cannot be told.
     pub sharpness: Option<f64>,
+    /// Pixels from the mask's edge outwards to that of the person in the picture; `None` where it cannot be told.
+    pub edge_offset_px: Option<f64>,
     /// Points of shoulders, elbows, wrists, hips, knees and ankles that were detected, of 12.
     pub limbs_seen: usize,
     /// Confident points away from the mask.
@@ -52,6 +55,11 @@ pub struct FrameMeasures {
 /// Measures all frames. `capture` holds the keypoints as they were given.
 pub fn measure(capture: &Capture) -> Vec<FrameMeasures> {
     capture.frames.iter().map(|frame| measure_frame(capture, frame)).collect()
+}
+
+/// `[N]`: see [`FrameMeasures::edge_offset_px`].
+pub fn edge_offsets(measures: &[FrameMeasures]) -> Vec<Option<f64>> {
+    measures.iter().map(|m| m.edge_offset_px).collect()
 }
 
 fn measure_frame(capture: &Capture, frame: &Frame) -> FrameMeasures {
@@ -71,6 +79,7 @@ fn measure_frame(capture: &Capture, frame: &Frame) -> FrameMeasures {
         second_blob: parts.get(1).map_or(0.0, |&second| second as f64 / parts[0] as f64),
         border_px: border(capture, frame, &mask),
         sharpness: sharpness(width, height, &frame.rgb, &frame.mask),
+        edge_offset_px: edge_offset(frame, height_px),
         limbs_seen: limbs.filter(|&k| frame.keypoints.get(k).is_some_and(|p| p[2] >= SEEN)).count(),
         points_off_mask: frame.keypoints.iter().filter(off).count(),
     }
@@ -118,6 +127,7 @@ pub fn clip_flags(measures: &[FrameMeasures]) -> Vec<Flag> {
         keypoints_off_mask(measures),
         few_keypoints(measures),
         cut_by_border(measures),
+        mask_edge::flag(&edge_offsets(measures)),
         second_blob(measures),
         mask_flickers(measures),
         blurred(measures),

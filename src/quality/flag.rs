@@ -10,6 +10,7 @@ pub enum Kind {
     CutByBorder,
     Blurred,
     MaskFlickers,
+    MaskEdgeOff,
     SecondBlob,
     SidesSwapped,
     FitMisses,
@@ -26,7 +27,7 @@ pub enum Kind {
 }
 
 /// In the order in which reports show them.
-pub const KINDS: [Kind; 18] = [
+pub const KINDS: [Kind; 19] = [
     Kind::NoFullTurn,
     Kind::FewFrames,
     Kind::LowResolution,
@@ -38,6 +39,7 @@ pub const KINDS: [Kind; 18] = [
     Kind::FewKeypoints,
     Kind::SidesSwapped,
     Kind::CutByBorder,
+    Kind::MaskEdgeOff,
     Kind::SecondBlob,
     Kind::MaskFlickers,
     Kind::Blurred,
@@ -56,6 +58,7 @@ impl Kind {
             Kind::CutByBorder => "cut_by_border",
             Kind::Blurred => "blurred",
             Kind::MaskFlickers => "mask_flickers",
+            Kind::MaskEdgeOff => "mask_edge_off",
             Kind::SecondBlob => "second_blob",
             Kind::SidesSwapped => "sides_swapped",
             Kind::FitMisses => "fit_misses",
@@ -80,6 +83,7 @@ impl Kind {
             Kind::CutByBorder => "px along the border in the worst frame",
             Kind::Blurred => "sharpness over the clip's median, worst frame",
             Kind::MaskFlickers => "jump of the mask's area, worst frame",
+            Kind::MaskEdgeOff => "px from the masks' edge outwards to the person's, median",
             Kind::SecondBlob => "of the person's area, worst frame",
             Kind::SidesSwapped => "of the frames",
             Kind::FitMisses => "IoU in the worst frame",
@@ -107,6 +111,9 @@ impl Kind {
             Kind::Blurred => "Turn more slowly and film in more light, so that single frames are not smeared.",
             Kind::MaskFlickers => {
                 "Use a segmentation that is steady over time, and a floor without a hard shadow of the person."
+            }
+            Kind::MaskEdgeOff => {
+                "Make masks that end where the person does; these were moved all round, which rounds fingers and hair."
             }
             Kind::SecondBlob => "Remove everything from the masks that is not the person.",
             Kind::SidesSwapped => {

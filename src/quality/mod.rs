@@ -5,10 +5,12 @@ mod clip;
 mod fit;
 mod flag;
 mod mask;
+mod mask_edge;
 mod sharpness;
 mod surface;
 
-pub use clip::{FrameMeasures, clip_flags, measure};
+pub use clip::{FrameMeasures, clip_flags, edge_offsets, measure};
 pub use fit::{FitFindings, fit_flags, turn_coverage_degrees};
 pub use flag::{Flag, KINDS, Kind};
+pub use mask_edge::settle_masks;
 pub use surface::{SurfaceCheck, check_surface, surface_flags};

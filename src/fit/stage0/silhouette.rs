@@ -2,6 +2,8 @@
 
 use glam::DVec2;
 
+use crate::distance::signed_distance;
+
 /// Most cells along the longer side: finer masks are thinned.
 const MOST_CELLS: usize = 400;
 /// Cells round the person's box, so that a model that sticks out still finds its way.
@@ -50,18 +52,9 @@ pub struct Field {
 impl Field {
     /// `None` where nothing or everything is inside. `inside [height, width]`.
     pub fn new(grid: Grid, inside: &[bool]) -> Option<Self> {
-        let first = *inside.first()?;
-        if inside.iter().all(|v| *v == first) {
-            return None;
-        }
-        let (w, h) = (grid.width, grid.height);
-        let to_inside = squared_distance(inside, true, w, h);
-        let to_outside = squared_distance(inside, false, w, h);
-        let signed = |(a, b): (&f32, &f32)| {
-            let cells = if *a > 0.0 { a.sqrt() - 0.5 } else { 0.5 - b.sqrt() };
-            cells * grid.step as f32
-        };
-        Some(Self { grid, distance: to_inside.iter().zip(&to_outside).map(signed).collect() })
+        let mut distance = signed_distance(inside, grid.width, grid.height)?;
+        distance.iter_mut().for_each(|cells| *cells *= grid.step as f32);
+        Some(Self { grid, distance })
     }
 
     /// Bilinear; `None` outside the grid.
@@ -83,64 +76,6 @@ impl Field {
         let along = |d: DVec2| Some(self.at(place + d * reach)? - self.at(place - d * reach)?);
         let normal = DVec2::new(along(DVec2::X)?, along(DVec2::Y)?).try_normalize()?;
         Some((self.at(place)?, normal))
-    }
-}
-
-/// Squared distances in cells to the nearest cell that is `target` (Felzenszwalb and Huttenlocher 2012: lower
-/// envelopes of parabolas, columns first, then rows).
-fn squared_distance(inside: &[bool], target: bool, w: usize, h: usize) -> Vec<f32> {
-    const FAR: f32 = 1e12;
-    let mut field: Vec<f32> = inside.iter().map(|v| if *v == target { 0.0 } else { FAR }).collect();
-    let longest = w.max(h);
-    let mut line = vec![0.0; longest];
-    let mut envelope = Envelope { vertices: vec![0; longest], starts: vec![0.0; longest + 1] };
-    for x in 0..w {
-        for y in 0..h {
-            line[y] = field[y * w + x];
-        }
-        envelope.transform(&line[..h], |y, value| field[y * w + x] = value);
-    }
-    for y in 0..h {
-        line[..w].copy_from_slice(&field[y * w..][..w]);
-        envelope.transform(&line[..w], |x, value| field[y * w + x] = value);
-    }
-    field
-}
-
-/// Scratch of one line's transform: the parabolas that form the lower envelope, and where each takes over.
-struct Envelope {
-    vertices: Vec<usize>,
-    starts: Vec<f32>,
-}
-
-impl Envelope {
-    fn transform(&mut self, line: &[f32], mut put: impl FnMut(usize, f32)) {
-        let square = |i: usize| (i * i) as f32;
-        let mut last = 0;
-        self.vertices[0] = 0;
-        (self.starts[0], self.starts[1]) = (f32::NEG_INFINITY, f32::INFINITY);
-        for q in 1..line.len() {
-            loop {
-                let v = self.vertices[last];
-                let meet = ((line[q] + square(q)) - (line[v] + square(v))) / (2 * (q - v)) as f32;
-                if meet <= self.starts[last] && last > 0 {
-                    last -= 1;
-                    continue;
-                }
-                last += 1;
-                self.vertices[last] = q;
-                (self.starts[last], self.starts[last + 1]) = (meet, f32::INFINITY);
-                break;
-            }
-        }
-        let mut k = 0;
-        for q in 0..line.len() {
-            while self.starts[k + 1] < q as f32 {
-                k += 1;
-            }
-            let v = self.vertices[k];
-            put(q, square(q.abs_diff(v)) + line[v]);
-        }
     }
 }
 

@@ -48,6 +48,7 @@ pub fn run(
     let mut capture = load_capture(input)?;
     // Of the detections as they were given: what follows reads them anew.
     let measures = quality::measure(&capture);
+    quality::settle_masks(&mut capture, &quality::edge_offsets(&measures));
     monitor.start(Stage::Pose)?;
     let start = solve_poses(&body, &capture, input.options.height_m, &mut monitor)?;
     let focal_ratio = focal_ratio(&body, &capture, &mut monitor);
