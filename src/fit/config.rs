@@ -127,7 +127,7 @@ pub struct FitConfig {
     pub rates: Rates,
     /// Stage 1, with one colour a face.
     pub geometry: StageConfig,
-    /// Stage 2, with the texture.
+    /// Stage 2, with the texture. In `standard` the shape goes on moving: a texture has edges that one colour a face has not.
     pub texture: StageConfig,
     /// Part of the covered pixels that a texture step looks at.
     pub pixel_rate: f32,
@@ -150,7 +150,7 @@ impl FitConfig {
     pub fn draft(seed: u64) -> Self {
         let mut config = Self::standard(seed);
         config.geometry.phases = vec![Phase { epochs: 6, offsets: false, ..COARSE }, Phase { epochs: 14, ..COARSE }];
-        config.texture.phases = vec![Phase { epochs: 8, pose_rate: 0.3, ..FINE }];
+        config.texture.phases = vec![Phase { epochs: 8, ..TEXTURED }];
         config
     }
 
@@ -161,7 +161,7 @@ impl FitConfig {
             Phase { epochs: 30, ..COARSE },
             Phase { epochs: 30, preconditioner: Preconditioner::LargeSteps { lambda: 4.0 }, rate: 0.7, ..FINE },
         ];
-        let texture = vec![Phase { epochs: 15, pose_rate: 0.3, ..FINE }];
+        let texture = vec![Phase { epochs: 20, ..TEXTURED }];
         Self {
             seed,
             batch: 4,
@@ -182,7 +182,7 @@ impl FitConfig {
                 field: 1e-2,
             },
             geometry: StageConfig { weights: GEOMETRY, shape: true, phases: geometry },
-            texture: StageConfig { weights: TEXTURE, shape: false, phases: texture },
+            texture: StageConfig { weights: Weights { rgb_soft: 0.0, ..GEOMETRY }, shape: true, phases: texture },
             pixel_rate: 0.5,
             field: TextureFieldConfig::default(),
         }
@@ -191,13 +191,28 @@ impl FitConfig {
     /// As [`FitConfig::standard`], but with a geometry that has seen no colours (after Alldieck et al. 2018, VideoAvatar):
     /// silhouettes, keypoints and the regularisers alone; the texture is fitted afterwards, and poses stand meanwhile.
     pub fn silhouette_only(seed: u64) -> Self {
-        let mut config = Self::standard(seed);
+        let mut config = Self::standard(seed).with_shape_standing();
         for weights in [&mut config.geometry.weights, &mut config.texture.weights] {
             (weights.rgb, weights.rgb_soft) = (0.0, 0.0);
         }
         config.texture.weights.rgb = 1.0;
         config.texture.phases.iter_mut().for_each(|phase| phase.pose_rate = 0.0);
         config
+    }
+
+    /// Stage 2 as the paper has it (§3.6): β and D stand, and poses are refined through the hard and the soft image.
+    pub fn with_shape_standing(mut self) -> Self {
+        self.texture.shape = false;
+        self.texture.weights = Weights {
+            keypoints: 0.0,
+            normal_consistency: 0.0,
+            face_area: 0.0,
+            laplacian: 0.0,
+            rgb_soft: GEOMETRY.rgb_soft,
+            ..self.texture.weights
+        };
+        self.texture.phases.iter_mut().for_each(|phase| phase.pose_rate = 0.3);
+        self
     }
 
     /// Everything at once, the paper's "moving targets" (§3.6): the losses of the geometry stage, and as many passes as
@@ -215,7 +230,7 @@ impl FitConfig {
 
     /// The paper's method as far as it tells: NMR silhouettes, plain offsets, full resolution throughout.
     pub fn paper(seed: u64) -> Self {
-        let mut config = Self::standard(seed);
+        let mut config = Self::standard(seed).with_shape_standing();
         let plain = Phase { preconditioner: Preconditioner::None, ..FINE };
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
@@ -253,9 +268,6 @@ const GEOMETRY: Weights = Weights {
     anchor: 2e-3,
 };
 
-const TEXTURE: Weights =
-    Weights { keypoints: 0.0, normal_consistency: 0.0, face_area: 0.0, laplacian: 0.0, ..GEOMETRY };
-
 const COARSE: Phase = Phase {
     epochs: 0,
     level: 1,
@@ -268,6 +280,8 @@ const COARSE: Phase = Phase {
 };
 
 const FINE: Phase = Phase { level: 0, sigma: 2e-5, depth_softness_m: 0.01, ..COARSE };
+
+const TEXTURED: Phase = Phase { preconditioner: Preconditioner::LargeSteps { lambda: 4.0 }, pose_rate: 0.5, ..FINE };
 
 #[cfg(test)]
 mod tests {

@@ -74,7 +74,7 @@ pub fn refine_pose(
 
 /// `config` with nothing but poses to move, at half and at full resolution, and every pixel looked at.
 fn frozen(config: &FitConfig) -> FitConfig {
-    let mut config = config.clone();
+    let mut config = config.clone().with_shape_standing();
     config.rates = Rates {
         betas: 0.0,
         pose: POSE_RATE,
@@ -86,8 +86,6 @@ fn frozen(config: &FitConfig) -> FitConfig {
     };
     config.pose_smoothing = 0.0;
     config.pixel_rate = 1.0;
-    config.texture.shape = false;
-    config.texture.weights.keypoints = 0.0;
     let [fine, coarse] = [config.geometry.phases.last(), config.geometry.phases.first()].map(|phase| phase.cloned());
     let phases = coarse.into_iter().map(|p| Phase { level: 1, ..p }).chain(fine.map(|p| Phase { level: 0, ..p }));
     config.texture.phases = phases.map(|phase| Phase { pose_rate: 1.0, rate: 1.0, offsets: false, ..phase }).collect();

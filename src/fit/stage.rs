@@ -1,6 +1,7 @@
 //! What a step of a stage does (paper §3.6). Stage 1 fits β, D, θᵢ, Rᵢ, tᵢ and one colour a face, so that the mesh comes to
-//! lie where image and silhouette have it. In stage 2 shape and face colours stand; the texture is trained while the poses
-//! are refined through it and through the soft image. A second stage that fits the shape too is the paper's naive way.
+//! lie where image and silhouette have it. In stage 2 the texture is trained while shape and poses are refined through it;
+//! or, as the paper has it, shape and face colours stand and the poses see the soft image too. A fit without a first stage is
+//! the paper's naive way.
 
 use super::config::{FitConfig, Phase, StageConfig};
 use super::frame_step::{BACKGROUND, FrameStep};

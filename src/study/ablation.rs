@@ -55,6 +55,7 @@ const CHANGES: &[Change] = &[
     Change { name: "no soft image", apply: |config| no_soft_image(config) },
     Change { name: "no prior on motion", apply: |config| no_motion(config) },
     Change { name: "poses step frame by frame", apply: |config| config.pose_smoothing = 0.0 },
+    Change { name: "the shape stands in stage 2", apply: |config| *config = config.clone().with_shape_standing() },
     Change { name: "no keypoints of hips", apply: |config| config.hip_keypoints = false },
 ];
 

@@ -48,7 +48,7 @@ impl Default for Settings {
 }
 
 fn two_stages(seed: u64, settings: &Settings) -> FitConfig {
-    let mut config = comparable(FitConfig::standard(seed));
+    let mut config = comparable(FitConfig::standard(seed).with_shape_standing());
     for (phase, passes) in config.geometry.phases.iter_mut().zip(settings.passes) {
         phase.epochs = passes;
     }

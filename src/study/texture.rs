@@ -68,7 +68,7 @@ impl Model {
 
 /// Stage 2 alone, poses standing.
 fn config(seed: u64, settings: &Settings, log2_hashmap_size: u32, model: Model) -> FitConfig {
-    let mut config = comparable(FitConfig::standard(seed));
+    let mut config = comparable(FitConfig::standard(seed).with_shape_standing());
     config.field.log2_hashmap_size = log2_hashmap_size;
     config.texture.phases.truncate(1);
     for phase in &mut config.texture.phases {

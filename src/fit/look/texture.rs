@@ -40,7 +40,8 @@ pub struct Texture {
     face_colours: Buffer<f32>,
     /// Scratch: the soft image does not move the colours.
     grad_face_colours: Buffer<f32>,
-    /// Present where the face colours follow the texture.
+    moves_shape: bool,
+    /// Present where the face colours follow the texture: for the soft image of a shape that is fitted.
     middles: Option<Middles>,
     image: Buffer<f32>,
     grad_image: Buffer<f32>,
@@ -104,6 +105,7 @@ impl Texture {
     pub fn new(scene: &Scene, inputs: &Inputs<'_>, state: &FitState) -> Result<Self, FitError> {
         let (gpu, n, n_faces) = (&scene.gpu, scene.max_pixels, scene.corners.n_faces());
         let (config, faces) = (inputs.config, &inputs.body.faces);
+        let follows = config.texture.shape && config.texture.weights.rgb_soft != 0.0;
         let levels = |frame: &DeviceFrame| frame.levels.iter().map(|level| trusted_pixels(gpu, level)).collect();
         let trusted = scene.frames.iter().map(levels);
         let zeros = |name: &str| gpu.zeros::<f32>(&format!("fit/{name}"), n * 3);
@@ -128,7 +130,8 @@ impl Texture {
             rgb: RgbL1::new(gpu, n),
             face_colours: gpu.upload("fit/face_colours", &state.face_colours),
             grad_face_colours: gpu.zeros("fit/grad_face_colours", state.face_colours.len()),
-            middles: config.texture.shape.then(|| Middles::new(gpu, n_faces)),
+            moves_shape: config.texture.shape,
+            middles: follows.then(|| Middles::new(gpu, n_faces)),
             image: zeros("image"),
             grad_image: zeros("grad_image"),
             grad_rgb: zeros("grad_rgb"),
@@ -219,7 +222,7 @@ impl Look for Texture {
 
     /// Only while the shape is fitted; and a sample of the pixels has no borders.
     fn borders(&self) -> Option<RgbGradient<'_>> {
-        let whole = self.middles.is_some() && self.pixel_rate == 1.0;
+        let whole = self.moves_shape && self.pixel_rate == 1.0;
         whole.then_some(RgbGradient { image: &self.image, grad_image: &self.grad_image })
     }
 
