@@ -1,4 +1,4 @@
-// One pixel an invocation: lists the pixels that may end before a neighbour, for `edge_gradient/screen` and `nmr/screen`.
+// One pixel that shows a face an invocation: lists the pixels that may end before a neighbour, for `edge_gradient/screen` and `nmr/screen`.
 // They are few, and what is done for them is long. The order is that of arrival; each writes its own result.
 #import shared/linear_index
 
@@ -12,8 +12,10 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> zbuf: array<f32>; // -1 where nothing is
-@group(0) @binding(2) var<storage, read_write> count: array<atomic<u32>>;
-@group(0) @binding(3) var<storage, read_write> borders: array<u32>;
+@group(0) @binding(2) var<storage, read> counts: array<u32>; // of pixels, of faces
+@group(0) @binding(3) var<storage, read> owned: array<u32>;
+@group(0) @binding(4) var<storage, read_write> count: array<atomic<u32>>;
+@group(0) @binding(5) var<storage, read_write> borders: array<u32>;
 
 fn ends(z: f32, q: u32) -> bool {
     let beyond = zbuf[q];
@@ -22,14 +24,12 @@ fn ends(z: f32, q: u32) -> bool {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let p = linear_index(id, groups, 64u);
-    if p >= params.width * params.height {
+    let k = linear_index(id, groups, 64u);
+    if k >= counts[0] {
         return;
     }
+    let p = owned[k];
     let z = zbuf[p];
-    if z < 0.0 {
-        return;
-    }
     let x = p % params.width;
     let y = p / params.width;
     // A pixel at the image's border has itself for a neighbour there.

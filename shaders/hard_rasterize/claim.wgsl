@@ -1,4 +1,4 @@
-// Pass 2, one face an invocation: of the faces at the nearest depth of a pixel, the smallest index owns it. A few units
+// Pass 1b after `depth`, one face an invocation: of the faces at the nearest depth of a pixel, the smallest index owns it. A few units
 // in the last place count as the same depth, because two kernels may round one expression differently.
 // Stored as n_faces - index, so that zero means none.
 #import shared/linear_index

@@ -1,4 +1,5 @@
-// Pass 1, one face an invocation: the nearest depth of each pixel. Stored as ~bits, so that zero means none.
+// Pass 1a where the device cannot raise 64-bit numbers, one face an invocation: the nearest depth of each pixel. Stored as
+// ~bits, so that zero means none.
 #import shared/linear_index
 #import shared/hard_triangle
 

@@ -1,4 +1,4 @@
-// One face an invocation: the gradient of its corners [F, 3, 3] from the motion, in the image, of the points that its
+// One face that owns a pixel an invocation: the gradient of its corners [F, 3, 3] from the motion, in the image, of the points that its
 // pixels show. The point P = sum bary_k v_k moves with fixed bary, and u = fx X/Z + cx, v = fy Y/Z + cy.
 #import shared/linear_index
 #import shared/hard_triangle
@@ -10,6 +10,8 @@
 @group(0) @binding(3) var<storage, read> pix_to_face: array<i32>;
 @group(0) @binding(4) var<storage, read> grad_screen: array<vec2<f32>>;
 @group(0) @binding(5) var<storage, read_write> grad_corners: array<f32>;
+@group(0) @binding(6) var<storage, read> counts: array<u32>; // of pixels, of faces
+@group(0) @binding(7) var<storage, read> owners: array<u32>;
 
 fn write_corner(i: u32, g: vec3<f32>) {
     grad_corners[i] = g.x;
@@ -19,10 +21,11 @@ fn write_corner(i: u32, g: vec3<f32>) {
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let f = linear_index(id, groups, 64u);
-    if f >= params.n_faces {
+    let k = linear_index(id, groups, 64u);
+    if k >= counts[1] {
         return;
     }
+    let f = owners[k];
     let t = triangle_at(f);
     let box = pixel_box(t);
     var ga = vec3<f32>(0.0);

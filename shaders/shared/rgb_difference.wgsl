@@ -1,16 +1,6 @@
 // The colour loss at a pixel. The importing file binds `params: RgbParams`, `image` and `seen: array<u32>`.
+#import shared/rgb_params
 #import shared/target_pixel
-
-struct RgbParams {
-    n_pixels: u32,
-    offset: u32,
-    red: f32,
-    green: f32,
-    blue: f32,
-    composite: f32,
-    lambda: f32,
-    unused: u32,
-}
 
 // image - target
 fn difference_at(i: u32) -> vec3<f32> {

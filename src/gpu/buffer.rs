@@ -1,5 +1,6 @@
 //! Typed storage buffers. New buffers are always filled: with data or with zeros.
 
+use std::borrow::Cow;
 use std::marker::PhantomData;
 use std::sync::Arc;
 
@@ -38,6 +39,9 @@ impl<T> Drop for Buffer<T> {
     }
 }
 
+/// Buffers end with whole `vec4`s, zeros at first, so that kernels may take four values at a time.
+const VECTOR: usize = 16;
+
 const USAGE: wgpu::BufferUsages = wgpu::BufferUsages::STORAGE
     .union(wgpu::BufferUsages::INDIRECT)
     .union(wgpu::BufferUsages::COPY_DST)
@@ -49,9 +53,14 @@ impl Gpu {
         if data.is_empty() {
             return self.zeros(label, 0);
         }
+        let mut contents = Cow::Borrowed(bytemuck::cast_slice(data));
+        if contents.len() % VECTOR != 0 {
+            let padded = contents.len().next_multiple_of(VECTOR);
+            contents.to_mut().resize(padded, 0);
+        }
         let raw = self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some(label),
-            contents: bytemuck::cast_slice(data),
+            contents: &contents,
             usage: USAGE,
         });
         self.track(label, raw, data.len())
@@ -59,7 +68,7 @@ impl Gpu {
 
     /// A buffer of `len` zeros.
     pub fn zeros<T: Pod>(&self, label: &str, len: usize) -> Buffer<T> {
-        let size = (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
+        let size = (len.max(1) * size_of::<T>()).next_multiple_of(VECTOR) as u64;
         let raw = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
             size,

@@ -39,6 +39,8 @@ pub struct DeviceInfo {
     /// True for a driver that computes on the CPU.
     pub software: bool,
     pub float_atomics: bool,
+    /// Whether a 64-bit number in memory can be raised atomically.
+    pub wide_atomics: bool,
     pub max_binding_bytes: u64,
 }
 
@@ -121,6 +123,12 @@ impl Gpu {
         if float_atomics {
             features |= wgpu::Features::SHADER_FLOAT32_ATOMIC;
         }
+        // Likewise `EFFIGY_NO_WIDE_ATOMICS`.
+        let wide = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX;
+        let wide_atomics = adapter.features().contains(wide) && std::env::var_os("EFFIGY_NO_WIDE_ATOMICS").is_none();
+        if wide_atomics {
+            features |= wide;
+        }
         let limits = adapter.limits();
         let max_binding_bytes = limits.max_storage_buffer_binding_size;
         let (device, queue) = adapter
@@ -152,6 +160,7 @@ impl Gpu {
                 driver: format!("{} {}", info.driver, info.driver_info),
                 software: info.device_type == wgpu::DeviceType::Cpu,
                 float_atomics,
+                wide_atomics,
                 max_binding_bytes,
             },
             device,

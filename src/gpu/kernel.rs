@@ -11,6 +11,7 @@ use super::shader::{Expansion, expand};
 /// are storage buffers in the order given at the dispatch. Each shader must use all of its bindings.
 pub struct Kernel {
     pub(super) pipeline: wgpu::ComputePipeline,
+    pub(super) layout: wgpu::BindGroupLayout,
     pub(super) label: String,
 }
 
@@ -49,7 +50,7 @@ impl Gpu {
             },
             cache: None,
         });
-        let kernel = Arc::new(Kernel { pipeline, label: label.to_owned() });
+        let kernel = Arc::new(Kernel { layout: pipeline.get_bind_group_layout(0), pipeline, label: label.to_owned() });
         self.kernels.lock().unwrap().insert(key, kernel.clone());
         kernel
     }

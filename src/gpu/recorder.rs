@@ -1,5 +1,7 @@
 //! Recording dispatches into one submission.
 
+use std::num::NonZero;
+use std::ops::Range;
 use std::sync::Arc;
 
 use bytemuck::Pod;
@@ -36,9 +38,22 @@ enum Groups {
 }
 
 enum Command {
-    Dispatch { kernel: Arc<Kernel>, group: wgpu::BindGroup, groups: Groups },
-    Clear(wgpu::Buffer),
-    Copy { from: wgpu::Buffer, to: wgpu::Buffer, bytes: u64 },
+    /// `params` is a place among the recorder's parameters, `buffers` are the bindings from 1 on.
+    Dispatch {
+        kernel: Arc<Kernel>,
+        params: Range<usize>,
+        buffers: Vec<wgpu::Buffer>,
+        groups: Groups,
+    },
+    Clear {
+        buffer: wgpu::Buffer,
+        bytes: u64,
+    },
+    Copy {
+        from: wgpu::Buffer,
+        to: wgpu::Buffer,
+        bytes: u64,
+    },
 }
 
 /// Work in the order in which it was recorded; nothing runs before [`Recorder::submit`].
@@ -46,11 +61,13 @@ pub struct Recorder<'g> {
     gpu: &'g Gpu,
     label: String,
     commands: Vec<Command>,
+    /// Of all dispatches, each at an offset that a binding may have: a buffer for each costs more than a short kernel.
+    params: Vec<u8>,
 }
 
 impl Gpu {
     pub fn recorder(&self, label: &str) -> Recorder<'_> {
-        Recorder { gpu: self, label: label.to_owned(), commands: Vec::new() }
+        Recorder { gpu: self, label: label.to_owned(), commands: Vec::new(), params: Vec::new() }
     }
 }
 
@@ -84,28 +101,31 @@ impl<'g> Recorder<'g> {
     }
 
     fn push<P: Pod>(&mut self, kernel: &Arc<Kernel>, params: &P, buffers: &[&dyn AnyBuffer], groups: Groups) {
-        let device = &self.gpu.device;
-        let uniform = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some(&kernel.label),
-            contents: bytemuck::bytes_of(params),
-            usage: wgpu::BufferUsages::UNIFORM,
-        });
-        let mut entries = vec![wgpu::BindGroupEntry { binding: 0, resource: uniform.as_entire_binding() }];
-        for (i, buffer) in buffers.iter().enumerate() {
-            let resource = buffer.raw().as_entire_binding();
-            entries.push(wgpu::BindGroupEntry { binding: i as u32 + 1, resource });
-        }
-        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(&kernel.label),
-            layout: &kernel.pipeline.get_bind_group_layout(0),
-            entries: &entries,
-        });
-        self.commands.push(Command::Dispatch { kernel: kernel.clone(), group, groups });
+        let alignment = self.gpu.device.limits().min_uniform_buffer_offset_alignment as usize;
+        let first = self.params.len().next_multiple_of(alignment);
+        self.params.resize(first, 0);
+        self.params.extend_from_slice(bytemuck::bytes_of(params));
+        let buffers = buffers.iter().map(|buffer| buffer.raw().clone()).collect();
+        let params = first..self.params.len();
+        self.commands.push(Command::Dispatch { kernel: kernel.clone(), params, buffers, groups });
     }
 
     /// Fills a buffer with zeros.
     pub fn clear<T>(&mut self, buffer: &Buffer<T>) {
-        self.commands.push(Command::Clear(buffer.raw.clone()));
+        self.commands.push(Command::Clear { buffer: buffer.raw.clone(), bytes: buffer.raw.size() });
+    }
+
+    /// Fills the first `len` values with zeros.
+    ///
+    /// # Panics
+    /// When there are fewer, or they are not whole words.
+    pub fn clear_front<T>(&mut self, buffer: &Buffer<T>, len: usize) {
+        assert!(len <= buffer.len(), "{}: {len} values of {}", buffer.label(), buffer.len());
+        let bytes = (len * size_of::<T>()) as u64;
+        assert!(bytes.is_multiple_of(4), "{}: {bytes} bytes are not whole words", buffer.label());
+        if bytes > 0 {
+            self.commands.push(Command::Clear { buffer: buffer.raw.clone(), bytes });
+        }
     }
 
     /// Copies all of `from` to the start of `to`.
@@ -114,7 +134,7 @@ impl<'g> Recorder<'g> {
     /// When `to` is shorter.
     pub fn copy<T>(&mut self, from: &Buffer<T>, to: &Buffer<T>) {
         assert!(from.len() <= to.len(), "{} does not fit {}", from.label(), to.label());
-        let bytes = from.raw.size().min(to.raw.size());
+        let bytes = (from.len() * size_of::<T>()).next_multiple_of(4) as u64;
         self.commands.push(Command::Copy { from: from.raw.clone(), to: to.raw.clone(), bytes });
     }
 
@@ -123,54 +143,86 @@ impl<'g> Recorder<'g> {
         if strikes(Point::Lost) {
             self.gpu.lose();
         }
+        let groups = self.bind_groups();
         if self.gpu.profiling() {
-            for command in &self.commands {
+            for (command, group) in self.commands.iter().zip(&groups) {
                 let label = match command {
                     Command::Dispatch { kernel, .. } => kernel.label.as_str(),
-                    Command::Clear(_) => "gpu/clear",
+                    Command::Clear { .. } => "gpu/clear",
                     Command::Copy { .. } => "gpu/copy",
                 };
                 self.gpu.timings.measure(label, || {
-                    self.encode(std::slice::from_ref(command));
+                    self.encode(std::slice::from_ref(command), std::slice::from_ref(group));
                     self.gpu.wait()
                 })?;
             }
         } else {
-            self.encode(&self.commands);
+            self.encode(&self.commands, &groups);
         }
         self.gpu.check()
     }
 
-    fn encode(&self, commands: &[Command]) {
+    /// What each command binds, over one buffer of all parameters; nothing for those that are no dispatch.
+    fn bind_groups(&self) -> Vec<Option<wgpu::BindGroup>> {
+        let device = &self.gpu.device;
+        if self.params.is_empty() {
+            return vec![None; self.commands.len()];
+        }
+        let uniforms = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some(&self.label),
+            contents: &self.params,
+            usage: wgpu::BufferUsages::UNIFORM,
+        });
+        let group = |command: &Command| {
+            let Command::Dispatch { kernel, params, buffers, .. } = command else { return None };
+            let uniform = wgpu::BufferBinding {
+                buffer: &uniforms,
+                offset: params.start as u64,
+                size: NonZero::new(params.len() as u64),
+            };
+            let resources = buffers.iter().map(wgpu::Buffer::as_entire_binding);
+            let resources = std::iter::once(wgpu::BindingResource::Buffer(uniform)).chain(resources);
+            let entries: Vec<_> =
+                (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
+            Some(device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some(&kernel.label),
+                layout: &kernel.layout,
+                entries: &entries,
+            }))
+        };
+        self.commands.iter().map(group).collect()
+    }
+
+    fn encode(&self, commands: &[Command], bind_groups: &[Option<wgpu::BindGroup>]) {
         let device = &self.gpu.device;
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(&self.label) });
-        let mut rest = commands;
-        while let Some(first) = rest.first() {
+        let mut at = 0;
+        while let Some(first) = commands.get(at) {
             match first {
-                Command::Clear(buffer) => encoder.clear_buffer(buffer, 0, None),
+                Command::Clear { buffer, bytes } => encoder.clear_buffer(buffer, 0, Some(*bytes)),
                 Command::Copy { from, to, bytes } => encoder.copy_buffer_to_buffer(from, 0, to, 0, *bytes),
                 Command::Dispatch { .. } => {
-                    let end = rest.iter().position(|c| !matches!(c, Command::Dispatch { .. })).unwrap_or(rest.len());
+                    let other = commands[at..].iter().position(|c| !matches!(c, Command::Dispatch { .. }));
+                    let end = other.map_or(commands.len(), |n| at + n);
                     let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                         label: Some(&self.label),
                         timestamp_writes: None,
                     });
-                    for command in &rest[..end] {
-                        if let Command::Dispatch { kernel, group, groups } = command {
+                    for (command, group) in commands[at..end].iter().zip(&bind_groups[at..end]) {
+                        if let Command::Dispatch { kernel, groups, .. } = command {
                             pass.set_pipeline(&kernel.pipeline);
-                            pass.set_bind_group(0, group, &[]);
+                            pass.set_bind_group(0, group.as_ref(), &[]);
                             match groups {
                                 Groups::Counted([x, y, z]) => pass.dispatch_workgroups(*x, *y, *z),
                                 Groups::Stored(buffer, offset) => pass.dispatch_workgroups_indirect(buffer, *offset),
                             }
                         }
                     }
-                    drop(pass);
-                    rest = &rest[end..];
+                    at = end;
                     continue;
                 }
             }
-            rest = &rest[1..];
+            at += 1;
         }
         self.gpu.queue.submit([encoder.finish()]);
     }

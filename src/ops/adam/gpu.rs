@@ -1,4 +1,4 @@
-//! Host side of `shaders/adam/step.wgsl`.
+//! Host side of `shaders/adam/step.wgsl` and `step4.wgsl`.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -22,6 +22,8 @@ struct Params {
 /// The state of one parameter group.
 pub struct Adam {
     kernel: Arc<Kernel>,
+    /// Four parameters an invocation.
+    by_fours: Arc<Kernel>,
     config: AdamConfig,
     pub exp_avg: Buffer<f32>,
     pub exp_avg_sq: Buffer<f32>,
@@ -31,7 +33,8 @@ impl Adam {
     /// State for `len` parameters; `label` names the group in buffer labels.
     pub fn new(gpu: &Gpu, label: &str, len: usize, config: AdamConfig) -> Self {
         Self {
-            kernel: gpu.kernel("adam/step", include_str!("../../../shaders/adam/step.wgsl"), &[]),
+            kernel: kernel!(gpu, "adam/step"),
+            by_fours: kernel!(gpu, "adam/step4"),
             config,
             exp_avg: gpu.zeros(&format!("adam/{label}/exp_avg"), len),
             exp_avg_sq: gpu.zeros(&format!("adam/{label}/exp_avg_sq"), len),
@@ -53,9 +56,14 @@ impl Adam {
     ) {
         assert!(params.len() == self.exp_avg.len() && grads.len() == params.len(), "{}: length", params.label());
         assert!(range.end <= params.len(), "{}: range {range:?}", params.label());
+        // Buffers end with whole vectors; beyond the last parameter they hold zeros, which a step leaves alone.
+        let whole = range.len().is_multiple_of(4) || range.end == params.len();
+        let (kernel, size) =
+            if range.start.is_multiple_of(4) && whole { (&self.by_fours, 4) } else { (&self.kernel, 1) };
+        let len = range.len().div_ceil(size);
         let uniform = Params {
-            offset: range.start as u32,
-            len: range.len() as u32,
+            offset: (range.start / size) as u32,
+            len: len as u32,
             lr,
             beta1: self.config.beta1 as f32,
             beta2: self.config.beta2 as f32,
@@ -64,6 +72,6 @@ impl Adam {
             correction2: (1.0 - self.config.beta2.powi(step as i32)) as f32,
         };
         let buffers: [&dyn crate::gpu::AnyBuffer; 4] = [params, grads, &self.exp_avg, &self.exp_avg_sq];
-        recorder.dispatch(&self.kernel, &uniform, &buffers, linear_groups(range.len(), 64));
+        recorder.dispatch(kernel, &uniform, &buffers, linear_groups(len, 64));
     }
 }

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use super::RgbGradient;
 use crate::camera::Camera;
-use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder, linear_groups};
-use crate::ops::hard_rasterize::HardRasterizer;
+use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder};
+use crate::ops::hard_rasterize::{Each, HardRasterizer};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -76,7 +76,8 @@ impl ScreenPass {
         let params = Params { width: camera.width, height: camera.height, min_step, max_sweep };
         let Self { count, borders, groups, grad_screen, .. } = self;
         recorder.clear(count);
-        recorder.dispatch(&self.mark, &params, &[&hard.zbuf, count, borders], linear_groups(n, 64));
+        let [counts, owned] = hard.owned_pixels();
+        hard.each(recorder, Each::Pixel, &self.mark, &params, &[&hard.zbuf, counts, owned, count, borders]);
         recorder.dispatch(&self.groups_pass, &[n as u32, 0, 0, 0], &[count, groups], [1, 1, 1]);
         recorder.clear(grad_screen);
         let buffers: [&dyn AnyBuffer; 9] =

@@ -19,13 +19,20 @@
 //! skipped. Both orientations are drawn unless `cull_back`; a face is a front face when its corners run counter-clockwise
 //! seen from outside the body (`Σd < 0`).
 //!
+//! **Forward** finds the nearest face of each pixel in one pass over the faces, where the device can raise 64-bit numbers
+//! atomically, else in two, which take depths a few units in the last place apart as one. Then it lists the pixels that
+//! show a face and the faces that a pixel shows; all that follows, the backward passes included, looks at those alone.
+//!
 //! `backward` differentiates `b` and `z` with respect to the corners for fixed ownership; it is blind to the motion of
 //! silhouettes, which [`crate::ops::nmr`], [`crate::ops::edge_gradient`] and [`crate::ops::soft_rasterize`] see.
 
 pub mod cpu;
 mod gpu;
+mod nearest;
+mod owned;
 
 pub use gpu::HardRasterizer;
+pub(in crate::ops) use owned::Each;
 
 /// What is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]

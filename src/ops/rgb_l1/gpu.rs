@@ -22,23 +22,24 @@ pub struct RgbL1 {
     // [packed][weighted]
     forward: [[Arc<Kernel>; 2]; 2],
     backward: [[Arc<Kernel>; 2]; 2],
-    // [packed][listed]
-    both: [[Arc<Kernel>; 2]; 2],
+    // [packed]
+    whole: [Arc<Kernel>; 2],
+    listed: [Arc<Kernel>; 2],
     sum: Sum,
     values: Buffer<f32>,
 }
 
 impl RgbL1 {
     pub fn new(gpu: &Gpu, max_pixels: usize) -> Self {
-        let constants = |second: &'static str| {
-            [false, true]
-                .map(|packed| [false, true].map(|on| [("PACKED", packed.to_string()), (second, on.to_string())]))
-        };
-        let (weighted, listed) = (constants("WEIGHTED"), constants("LISTED"));
+        let packed = [false, true].map(|packed| [("PACKED", packed.to_string())]);
+        let weighted = packed
+            .each_ref()
+            .map(|[packed]| [false, true].map(|weighted| [packed.clone(), ("WEIGHTED", weighted.to_string())]));
         let forward = weighted.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/forward", c)));
         let backward = weighted.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/backward", c)));
-        let both = listed.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/both", c)));
-        Self { forward, backward, both, sum: Sum::new(gpu), values: gpu.zeros("rgb_l1/values", max_pixels) }
+        let whole = packed.each_ref().map(|c| kernel!(gpu, "rgb_l1/whole", c));
+        let listed = packed.each_ref().map(|c| kernel!(gpu, "rgb_l1/listed", c));
+        Self { forward, backward, whole, listed, sum: Sum::new(gpu), values: gpu.zeros("rgb_l1/values", max_pixels) }
     }
 
     /// Records the loss of the first `n_pixels` of `image`.
@@ -105,12 +106,18 @@ impl RgbL1 {
             return;
         }
         assert!(image.len() >= n_pixels * 3, "{}: length", image.label());
-        let kernel = &self.both[usize::from(target.is_packed())][usize::from(pixels.is_some())];
-        let seen = target.buffer(n_pixels, 3);
-        // Without a list the kernel reads nothing there.
-        let listed: &dyn AnyBuffer = pixels.map_or(seen, |pixels| &pixels.index);
-        let buffers: [&dyn AnyBuffer; 5] = [image, seen, listed, &self.values, grad_image];
-        recorder.dispatch(kernel, &params(n_rows, target, lambda), &buffers, linear_groups(n_rows, 64));
+        let (seen, values, params) = (target.buffer(n_pixels, 3), &self.values, params(n_rows, target, lambda));
+        let packed = usize::from(target.is_packed());
+        match pixels {
+            Some(PixelList { index, .. }) => {
+                let buffers: [&dyn AnyBuffer; 5] = [image, seen, index, values, grad_image];
+                recorder.dispatch(&self.listed[packed], &params, &buffers, linear_groups(n_rows, 64));
+            }
+            None => {
+                let groups = linear_groups(n_rows.div_ceil(4), 64);
+                recorder.dispatch(&self.whole[packed], &params, &[image, seen, values, grad_image], groups);
+            }
+        }
         self.sum.add(recorder, &self.values, n_rows, loss);
     }
 

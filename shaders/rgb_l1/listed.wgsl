@@ -1,9 +1,7 @@
-// One pixel an invocation, of all or of the listed ones: value = the sum over the channels of |image - target|, and
+// One listed pixel an invocation: value = the sum over the channels of |image - target|, and
 // grad_image = lambda sign(image - target).
 #import shared/linear_index
 #import shared/rgb_difference
-
-#const LISTED: bool = false
 
 @group(0) @binding(0) var<uniform> params: RgbParams;
 @group(0) @binding(1) var<storage, read> image: array<f32>;
@@ -18,10 +16,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     if k >= params.n_pixels {
         return;
     }
-    var i = k;
-    if LISTED {
-        i = pixel_index[k];
-    }
+    let i = pixel_index[k];
     let off = difference_at(i);
     values[k] = abs(off.x) + abs(off.y) + abs(off.z);
     let g = params.lambda * sign(off);

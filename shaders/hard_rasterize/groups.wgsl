@@ -1,0 +1,18 @@
+// How many workgroups of 64 a list takes; see `linear_groups` of the host.
+const ROW: u32 = 32768u;
+
+struct Params {
+    list: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> counts: array<u32>; // of pixels, of faces
+@group(0) @binding(2) var<storage, read_write> groups: array<u32>;
+
+@compute @workgroup_size(1)
+fn main() {
+    let n = (counts[params.list] + 63u) / 64u;
+    groups[3u * params.list] = min(n, ROW);
+    groups[3u * params.list + 1u] = (n + ROW - 1u) / ROW;
+    groups[3u * params.list + 2u] = 1u;
+}

@@ -1,0 +1,11 @@
+// What the colour loss's kernels are told.
+struct RgbParams {
+    n_pixels: u32,
+    offset: u32,
+    red: f32,
+    green: f32,
+    blue: f32,
+    composite: f32,
+    lambda: f32,
+    unused: u32,
+}
