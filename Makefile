@@ -21,7 +21,7 @@ results: body
 torture: setup build
 	EFFIGY_TORTURE_CASES=2000 cargo test --locked --lib every_history_keeps_the_rules
 	EFFIGY_TORTURE_CYCLES=200 EFFIGY_TORTURE_JOBS=10000 cargo test --locked --test it service::torture -- --nocapture
-	cargo test --locked --test it service::resume -- --nocapture
+	EFFIGY_TORTURE_FIT_KILLS=6 cargo test --locked --test it service::resume -- --nocapture
 	EFFIGY_TORTURE_CALLS=1000 EFFIGY_TORTURE_CALL_SECS=20 EFFIGY_TORTURE_SLOW_SECS=60 \
 		cargo test --locked --test it service::load -- --nocapture --test-threads=1
 	EFFIGY_TORTURE_UPLOAD_MB=2048 EFFIGY_TORTURE_CUTS=200 \
@@ -31,11 +31,11 @@ torture: setup build
 	scripts/schemathesis.sh "$(EFFIGY)"
 	EFFIGY_TORTURE_STREAMS=5000 cargo test --locked --test it service::hostile::corrupted -- --nocapture
 
-## Every parser under cargo-fuzz, FUZZ_SECS seconds each. Needs a nightly toolchain and `cargo install cargo-fuzz`.
+## Every parser under cargo-fuzz, FUZZ_SECS seconds each; what it finds goes into fuzz/corpus, which `make test` runs.
+## Needs a nightly toolchain and `cargo install cargo-fuzz --locked`. FUZZ="npz body" runs these parsers alone.
 FUZZ_SECS := 600
 fuzz:
-	set -e; for target in $(basename $(notdir $(wildcard fuzz/fuzz_targets/*.rs))); do \
-		cargo +nightly fuzz run $$target -- -max_total_time=$(FUZZ_SECS); done
+	scripts/fuzz.sh $(FUZZ_SECS) $(FUZZ)
 
 ## Lints and tests of the optional feature: LPIPS by a network that the user gives.
 test-lpips: setup

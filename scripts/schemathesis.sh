@@ -24,6 +24,8 @@ until grep -q '^listening on ' "$work/out"; do
 done
 url=$(sed -n 's/^listening on //p' "$work/out")
 
+# It leaves a cache in the folder that it runs in.
+cd "$work"
 # PATCH takes bytes, for which schemathesis has no words; the tests of the tus protocol send them.
 "$work/site/bin/schemathesis" run "$url/openapi.yaml" --no-color --max-examples "$examples" --request-timeout 20 \
     --checks not_a_server_error,status_code_conformance,content_type_conformance,response_schema_conformance \

@@ -88,7 +88,8 @@ impl Tool {
                 let _ = watched.lock().unwrap_or_else(PoisonError::into_inner).kill();
             }
         });
-        let stderr = Some(std::thread::spawn(move || read_messages(stderr)));
+        let input = input.map(|path| path.display().to_string());
+        let stderr = Some(std::thread::spawn(move || read_messages(stderr, input.as_deref())));
         let tool = Self { name, child, stderr, timed_out, watchdog: Some((stop, watchdog)) };
         Ok((tool, BufReader::with_capacity(1 << 16, stdout)))
     }
@@ -141,7 +142,7 @@ fn limit(command: &mut Command) {
 fn limit(_command: &mut Command) {}
 
 /// The first distinct lines; the rest is read and dropped so that the process never blocks on it.
-fn read_messages(stderr: ChildStderr) -> Vec<String> {
+fn read_messages(stderr: ChildStderr, input: Option<&str>) -> Vec<String> {
     let mut reader = BufReader::new(stderr);
     let mut messages: Vec<String> = Vec::new();
     let mut line = Vec::new();
@@ -150,7 +151,7 @@ fn read_messages(stderr: ChildStderr) -> Vec<String> {
         match reader.by_ref().take(4096).read_until(b'\n', &mut line) {
             Ok(0) | Err(_) => return messages,
             Ok(_) if messages.len() < 3 => {
-                let message = clean(&String::from_utf8_lossy(&line));
+                let message = clean(&String::from_utf8_lossy(&line), input);
                 let repeats = message.starts_with("Last message repeated") || messages.contains(&message);
                 if !message.is_empty() && !repeats {
                     messages.push(message);
@@ -161,8 +162,9 @@ fn read_messages(stderr: ChildStderr) -> Vec<String> {
     }
 }
 
-/// `[h264 @ 0x55fa1d] missing picture` → `missing picture`; `file:/a/b: Invalid data` → `Invalid data`.
-fn clean(line: &str) -> String {
+/// `[h264 @ 0x55fa1d] missing picture` → `missing picture`; `file:/a/b: Invalid data` → `Invalid data`; where the path of
+/// `input` is named elsewhere, "the file".
+fn clean(line: &str, input: Option<&str>) -> String {
     let mut line = line.trim();
     while let Some((tag, rest)) = line.strip_prefix('[').and_then(|l| l.split_once("] ")) {
         if !tag.contains(" @ ") {
@@ -170,9 +172,13 @@ fn clean(line: &str) -> String {
         }
         line = rest.trim();
     }
-    match line.strip_prefix("file:").and_then(|l| l.rsplit_once(": ")) {
-        Some((_, reason)) => reason.to_owned(),
-        None => line.chars().take(200).collect(),
+    match (line.strip_prefix("file:").and_then(|l| l.rsplit_once(": ")), input) {
+        (Some((_, reason)), _) => reason.to_owned(),
+        (None, Some(path)) => {
+            let named = line.replace(&format!("file:{path}"), "the file").replace(path, "the file");
+            named.chars().take(200).collect()
+        }
+        (None, None) => line.chars().take(200).collect(),
     }
 }
 
@@ -184,9 +190,16 @@ mod tests {
 
     #[test]
     fn messages_lose_addresses_and_paths() {
-        assert_eq!(clean("[mov,mp4 @ 0x5581] moov atom not found\n"), "moov atom not found");
-        assert_eq!(clean("file:/srv/uploads/a: Invalid data found"), "Invalid data found");
-        assert_eq!(clean("[info] stays"), "[info] stays");
+        let input = Some("/srv/uploads/a");
+        for (line, told) in [
+            ("[mov,mp4 @ 0x5581] moov atom not found\n", "moov atom not found"),
+            ("file:/srv/uploads/a: Invalid data found", "Invalid data found"),
+            ("[in#0 @ 0x5581] Error opening input file file:/srv/uploads/a.", "Error opening input file the file."),
+            ("Could not find codec parameters in /srv/uploads/a", "Could not find codec parameters in the file"),
+            ("[info] stays", "[info] stays"),
+        ] {
+            assert_eq!(clean(line, input), told);
+        }
     }
 
     #[test]

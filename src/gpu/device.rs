@@ -205,6 +205,11 @@ impl Gpu {
         self.check()
     }
 
+    /// Bytes of device buffers that are alive.
+    pub fn bytes(&self) -> u64 {
+        self.memory.now.load(Ordering::Relaxed)
+    }
+
     /// The most bytes of device buffers that were alive at one time.
     pub fn peak_bytes(&self) -> u64 {
         self.memory.peak.load(Ordering::Relaxed)

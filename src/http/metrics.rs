@@ -1,6 +1,7 @@
 //! Figures for Prometheus. Requests are counted as they pass; jobs are counted in the database when asked for, so that
 //! they are right whichever process worked on them.
 
+use std::collections::BTreeMap;
 use std::sync::OnceLock;
 use std::time::Instant;
 
@@ -10,7 +11,7 @@ use axum::response::Response;
 use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
 use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
 
-use crate::jobs::{Queue, QueueError, State};
+use crate::jobs::{JobError, Queue, QueueError, State};
 
 /// Seconds.
 const BUCKETS: [f64; 9] = [0.001, 0.005, 0.02, 0.05, 0.1, 0.5, 2.0, 10.0, 60.0];
@@ -79,7 +80,10 @@ pub(super) async fn scrape(queue: &dyn Queue) -> Result<String, QueueError> {
         gauge!("effigy_stage_seconds_total", "stage" => time.stage).set(time.secs);
     }
     let figures = queue.figures().await?;
-    for (kind, jobs) in figures.failed {
+    // All types each time: where the last failed job of a type is deleted or retried, its gauge would else stay.
+    let mut failed: BTreeMap<_, _> = JobError::KINDS.iter().map(|kind| (kind.to_string(), 0)).collect();
+    failed.extend(figures.failed);
+    for (kind, jobs) in failed {
         gauge!("effigy_failed_jobs", "type" => kind).set(jobs as f64);
     }
     gauge!("effigy_queue_oldest_seconds").set(figures.oldest_secs);

@@ -136,7 +136,7 @@ impl Insertion {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct JobError {
     /// A stable word for programs: `bad-input`, `unfit`, `diverged`, `device`, `stalled`,
-    /// `deadline`, `internal`, `lease-lost`.
+    /// `deadline`, `disk-full`, `internal`, `lease-lost`.
     #[serde(rename = "type")]
     pub kind: String,
     /// For people.
@@ -156,7 +156,12 @@ pub struct JobError {
 }
 
 impl JobError {
+    /// Every `type` that a job's error may have.
+    pub const KINDS: [&str; 9] =
+        ["bad-input", "unfit", "diverged", "device", "stalled", "deadline", "disk-full", "internal", "lease-lost"];
+
     pub fn new(kind: &str, detail: impl Into<String>) -> Self {
+        debug_assert!(Self::KINDS.contains(&kind), "{kind:?} is no documented type");
         JobError {
             kind: kind.into(),
             detail: detail.into(),

@@ -99,7 +99,11 @@ impl Resolve for Checked {
             let found = found.await?;
             // One private address among public ones is as bad: the connection could fall back to it.
             match found.iter().find(|address| !private && !is_public(address.ip())) {
-                Some(address) => Err(format!("{host} is {}, which is not a public address", address.ip()).into()),
+                // Which one is for the log: the names of one's own network are not for whoever makes webhooks.
+                Some(address) => {
+                    tracing::warn!(host, address = %address.ip(), "a webhook's host has an address that is not public");
+                    Err(format!("{host} has an address that is not a public address").into())
+                }
                 None => Ok(Box::new(found.into_iter()) as Addrs),
             }
         })

@@ -257,7 +257,7 @@ impl Runner {
             Err(PipelineError::Stopped(StopReason::LostLease)) => Ok(Standing::Lost),
             Err(error) => {
                 let repeat = if is_repeatable(end) { Repeat::Counted } else { Repeat::Never };
-                self.queue.fail(lease, job_error(error), repeat).await
+                self.queue.fail(lease, job_error(error, self.store.has_room(0)), repeat).await
             }
         }
     }
@@ -321,7 +321,8 @@ fn new_avatar(job: &Job, outcome: Outcome, files: Vec<AvatarFile>) -> NewAvatar 
     }
 }
 
-fn job_error(error: &PipelineError) -> JobError {
+/// What a user learns; `has_room` tells whether the disk has more than its reserve.
+fn job_error(error: &PipelineError, has_room: bool) -> JobError {
     match error {
         PipelineError::BadInput(CaptureError::Bad(bad)) => JobError {
             part: Some(bad.part.to_string()),
@@ -336,6 +337,33 @@ fn job_error(error: &PipelineError) -> JobError {
         }
         PipelineError::Unfit(_) => JobError::new("unfit", error.to_string()),
         PipelineError::Device(_) => JobError::new("device", error.to_string()),
-        _ => JobError::new("internal", error.to_string()),
+        // Causes of the server's own name its paths: they are for the log.
+        PipelineError::Internal(_) | PipelineError::BadInput(_) | PipelineError::Stopped(_) if has_room => {
+            JobError::new("internal", "something went wrong inside the server; its log has the cause")
+        }
+        _ => JobError::new("disk-full", "the server's disk is full"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn users_learn_of_a_full_disk_and_of_no_path() {
+        const PATH: &str = "/var/lib/effigy/jobs/7/work/checkpoint.npz";
+        let io = || io::Error::new(io::ErrorKind::StorageFull, format!("{PATH}: no"));
+        for error in [
+            PipelineError::Internal(anyhow::Error::from(io()).context("the checkpoint")),
+            PipelineError::BadInput(CaptureError::Internal { what: "cannot read".into(), source: io() }),
+            PipelineError::Internal(anyhow::anyhow!("panicked: {PATH}")),
+        ] {
+            assert!(error.to_string().contains(PATH), "the log has it: {error}");
+            for (has_room, kind) in [(true, "internal"), (false, "disk-full")] {
+                let told = job_error(&error, has_room);
+                assert_eq!(told.kind, kind, "{error}");
+                assert!(!told.detail.contains('/'), "{told:?}");
+            }
+        }
     }
 }

@@ -185,10 +185,14 @@ fn a_wrong_focal_length_is_told() {
 fn a_stopped_fit_goes_on_from_its_checkpoint() {
     let Some(gpu) = gpu("a_stopped_fit_goes_on_from_its_checkpoint") else { return };
     let folder = tempfile::tempdir().unwrap();
+    let clip_made = input(clip(&gpu));
+    let before = gpu.bytes();
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 20)), ..Witness::default() };
-    let stopped = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness);
+    let stopped = run(&gpu, &clip_made, folder.path(), &mut witness);
     assert!(matches!(stopped, Err(PipelineError::Stopped(StopReason::Cancel))), "{stopped:?}");
     assert!(checkpoint(folder.path()).exists());
+    assert!(gpu.peak_bytes() > before);
+    assert_eq!(gpu.bytes(), before, "the device's memory is free again");
 
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 23)), ..Witness::default() };
     let stopped = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness);

@@ -65,7 +65,7 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
         Some("whl") => wheel::import(bytes, options)?,
         Some("npz") => smpl(&Npz::read(std::io::Cursor::new(bytes), MAX_VALUES)?)?,
         Some("pkl") => {
-            let arrays = pickle::parse(&bytes).and_then(|value| pickled_arrays::dictionary(&value));
+            let arrays = pickle::parse(&bytes).and_then(|pickle| pickled_arrays::dictionary(&pickle.value));
             smpl(&arrays.map_err(|reason| bad("pickle", reason))?)?
         }
         _ => return Err(ImportError::UnknownKind(path.display().to_string())),

@@ -104,14 +104,44 @@ fn object(callable: Value, args: Value) -> Value {
     Value::Object(Rc::new(RefCell::new(Object { callable, args, state: Value::None })))
 }
 
+/// A parsed pickle. What is cloned out of it is empty once it is gone.
+#[derive(Debug)]
+pub struct Pickle {
+    pub value: Value,
+    _kept: Kept,
+}
+
+/// Every list, tuple, dictionary and object, in the order of their making. Values may hold themselves, which counted references
+/// never free, or lie deeper in each other than the stack reaches when they are freed: so they are emptied here, and then each is
+/// freed alone, before those that it holds.
+#[derive(Debug, Default)]
+struct Kept(Vec<Value>);
+
+impl Drop for Kept {
+    fn drop(&mut self) {
+        for value in &self.0 {
+            match value {
+                Value::List(items) => drop(items.take()),
+                Value::Dict(entries) => drop(entries.take()),
+                Value::Object(object) => {
+                    drop(object.replace(Object { callable: Value::None, args: Value::None, state: Value::None }));
+                }
+                _ => {}
+            }
+        }
+        while self.0.pop().is_some() {}
+    }
+}
+
 /// Parses one pickle.
-pub fn parse(bytes: &[u8]) -> Result<Value, String> {
-    let mut machine = Machine { bytes, at: 0, stack: Vec::new(), marks: Vec::new(), memo: HashMap::new() };
+pub fn parse(bytes: &[u8]) -> Result<Pickle, String> {
+    let mut machine =
+        Machine { bytes, at: 0, stack: Vec::new(), marks: Vec::new(), memo: HashMap::new(), kept: Kept::default() };
     loop {
         let at = machine.at;
         match machine.step() {
             Ok(None) => {}
-            Ok(Some(value)) => return Ok(value),
+            Ok(Some(value)) => return Ok(Pickle { value, _kept: machine.kept }),
             Err(reason) => return Err(format!("pickle at byte {at}: {reason}")),
         }
     }
@@ -124,6 +154,8 @@ struct Machine<'a> {
     /// Stack heights at the marks.
     marks: Vec<usize>,
     memo: HashMap<u64, Value>,
+    /// The last field, which outlives what the others hold.
+    kept: Kept,
 }
 
 type Step<T> = Result<T, String>;
@@ -184,8 +216,15 @@ impl<'a> Machine<'a> {
     fn push_tuple(&mut self, n: usize) -> Step<()> {
         let at = self.stack.len().checked_sub(n).ok_or("the stack is empty")?;
         let items = self.stack.split_off(at);
-        self.stack.push(tuple(items));
+        self.push(tuple(items));
         Ok(())
+    }
+
+    fn push(&mut self, value: Value) {
+        if matches!(value, Value::List(_) | Value::Tuple(_) | Value::Dict(_) | Value::Object(_)) {
+            self.kept.0.push(value.clone());
+        }
+        self.stack.push(value);
     }
 
     fn remember(&mut self, key: u64) -> Step<()> {
@@ -271,7 +310,7 @@ impl<'a> Machine<'a> {
             0x85..=0x87 => self.push_tuple(usize::from(code - 0x84))?,
             _ => {
                 let value = self.value(code)?;
-                self.stack.push(value);
+                self.push(value);
             }
         }
         Ok(None)
@@ -404,7 +443,8 @@ mod tests {
     fn plain_data_of_protocol_2_comes_out() {
         // {'a': [1, -2, 300, 2.5, None, True], u'b': ('x', -1L)} by Python 2, protocol 2.
         let bytes = b"\x80\x02}q\x00(U\x01aq\x01]q\x02(K\x01J\xfe\xff\xff\xffM\x2c\x01G@\x04\x00\x00\x00\x00\x00\x00N\x88eX\x01\x00\x00\x00bq\x03U\x01x\x8a\x01\xff\x86q\x04u.";
-        let value = parse(bytes).unwrap();
+        let pickle = parse(bytes).unwrap();
+        let value = &pickle.value;
         let a = value.get("a").unwrap().items().unwrap();
         assert_eq!(a[..3].iter().map(|v| v.int().unwrap()).collect::<Vec<_>>(), [1, -2, 300]);
         assert!(matches!(a[3..], [Value::Float(2.5), Value::None, Value::Bool(true)]));
@@ -414,14 +454,15 @@ mod tests {
 
     #[test]
     fn protocol_0_strings_are_unescaped_and_the_memo_shares() {
-        let value = parse(b"(lp0\nS'a\\x41\\n\\\\\\''\np1\nag1\na.").unwrap();
-        let items = value.items().unwrap();
+        let pickle = parse(b"(lp0\nS'a\\x41\\n\\\\\\''\np1\nag1\na.").unwrap();
+        let items = pickle.value.items().unwrap();
         assert_eq!(items.iter().map(|v| v.string().unwrap()).collect::<Vec<_>>(), ["aA\n\\'", "aA\n\\'"]);
     }
 
     #[test]
     fn calls_are_kept_and_never_made() {
-        let Value::Object(object) = parse(b"cos\nsystem\n(S'true'\ntR.").unwrap() else { panic!("not an object") };
+        let pickle = parse(b"cos\nsystem\n(S'true'\ntR.").unwrap();
+        let Value::Object(object) = &pickle.value else { panic!("not an object") };
         let object = object.borrow();
         assert!(matches!(&object.callable, Value::Global(name) if &**name == "os.system"));
         assert_eq!(object.args.items().unwrap()[0].string().unwrap(), "true");
@@ -434,5 +475,35 @@ mod tests {
         {
             assert!(parse(bytes).is_err(), "{bytes:?}");
         }
+    }
+    #[test]
+    fn what_holds_itself_is_freed() {
+        // A list in itself; an object whose state is a dictionary that holds it.
+        for bytes in [&b"\x80\x02]q\x00h\x00a."[..], b"\x80\x02cm\nn\n)\x81q\x00}K\x01h\x00sb."] {
+            let pickle = parse(bytes).unwrap();
+            let freed: Box<dyn Fn() -> bool> = match &pickle.value {
+                Value::List(list) => {
+                    let list = Rc::downgrade(list);
+                    Box::new(move || list.upgrade().is_none())
+                }
+                Value::Object(object) => {
+                    let object = Rc::downgrade(object);
+                    Box::new(move || object.upgrade().is_none())
+                }
+                other => panic!("{other:?}"),
+            };
+            assert!(!freed());
+            drop(pickle);
+            assert!(freed(), "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn what_lies_deep_is_freed_without_a_stack_as_deep() {
+        let deep = [b"N".as_slice(), &[0x85; 1_000_000]].concat();
+        assert!(matches!(parse(&[&deep[..], b"."].concat()).unwrap().value, Value::Tuple(_)));
+        assert!(parse(&[&deep[..], b"\xff"].concat()).is_err());
+        let lists = [&[b']'; 1_000_000][..], &[b'a'; 999_999], b"."].concat();
+        assert!(matches!(parse(&lists).unwrap().value, Value::List(_)));
     }
 }

@@ -187,7 +187,7 @@ mod tests {
         [include_bytes!("fixtures/python3.pkl"), include_bytes!("fixtures/python3_protocol2.pkl")];
 
     fn read(bytes: &[u8]) -> Npz {
-        dictionary(&parse(bytes).unwrap()).unwrap()
+        dictionary(&parse(bytes).unwrap().value).unwrap()
     }
 
     #[test]

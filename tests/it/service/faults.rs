@@ -174,12 +174,24 @@ fn a_disk_that_fills_under_a_fit_makes_it_wait_for_room() {
     assert_eq!((&waiting["state"], &waiting["attempt"]), (&json!("queued"), &json!(1)), "{waiting:#}");
     let detail = waiting["error"]["detail"].as_str().unwrap();
     eprintln!("less room than the {results} bytes of results: {detail:?} in {}", waiting["stage"]);
-    assert!(detail.contains("No space left") && waiting["stage"] == "bake", "{waiting:#}");
+    assert_eq!((&waiting["error"]["type"], &waiting["stage"]), (&json!("disk-full"), &json!("bake")), "{waiting:#}");
     // Below the reserve it is not begun again.
     std::thread::sleep(Duration::from_secs(5));
     assert_eq!(rig.ask(&job)["attempt"], 1);
     std::fs::remove_file(&filler).unwrap();
     let end = rig.end(&job);
     assert_eq!((&end["state"], &end["attempt"]), (&json!("succeeded"), &json!(2)), "{end:#}");
+    // Where the server keeps things is told nowhere.
+    let avatar = rig.ask(&job.replace("/jobs/", "/avatars/"));
+    let files = avatar["files"].as_object().unwrap().values().map(|path| path.as_str().unwrap().to_string());
+    let places = ["jobs/{id}", "jobs/{id}/events", "avatars/{id}"].map(|path| format!("/v1/{path}"));
+    let id = end["id"].as_str().unwrap();
+    for path in places.into_iter().map(|path| path.replace("{id}", id)).chain(files) {
+        let body = rig.client.get(format!("{}{path}", rig.serve.url)).send().unwrap();
+        assert!(body.status().is_success(), "{path}");
+        let body = body.bytes().unwrap();
+        let place = data.to_str().unwrap().as_bytes();
+        assert!(!body.windows(place.len()).any(|bytes| bytes == place), "{path} names {}", data.display());
+    }
     assert!(rig.serve.terminate().success());
 }

@@ -30,6 +30,26 @@ async fn the_figures_tell_waits_failures_and_what_is_undelivered() {
     }
 }
 
+/// In a process of its own: figures are a process's.
+#[tokio::test(flavor = "multi_thread")]
+async fn failures_are_counted_until_their_jobs_are_gone() {
+    let folder = tempfile::tempdir().unwrap();
+    let serve = super::process::Serve::start(folder.path(), &["--workers", "0"]);
+    let bench = Bench::on(folder.path().to_path_buf()).await;
+    let id = bench.add_job().await;
+    let lease = bench.claim().await;
+    bench.queue.fail(&lease, JobError::new("unfit", "no person"), effigy::jobs::Repeat::Never).await.unwrap();
+    let client = reqwest::Client::new();
+    for count in ["1", "0"] {
+        let text = client.get(format!("{}/metrics", serve.url)).send().await.unwrap().text().await.unwrap();
+        for kind in JobError::KINDS {
+            let count = if kind == "unfit" { count } else { "0" };
+            assert!(text.contains(&format!("\neffigy_failed_jobs{{type=\"{kind}\"}} {count}\n")), "{kind}: {text}");
+        }
+        client.delete(format!("{}/v1/jobs/{id}", serve.url)).send().await.unwrap();
+    }
+}
+
 #[tokio::test]
 async fn a_job_tells_its_progress() {
     let bench = Bench::new().await;

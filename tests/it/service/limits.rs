@@ -161,3 +161,73 @@ fn a_full_disk_still_answers_and_deletes() {
     assert_eq!(post().status(), 202);
     assert!(serve.terminate().success());
 }
+
+/// Bytes that fill the disk shortly before their end.
+struct Filling {
+    disk: Arc<Disk>,
+    left: u64,
+    last: u64,
+}
+
+impl std::io::Read for Filling {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let n = self.left.min(buffer.len() as u64).min(1 << 14) as usize;
+        if self.left > self.last && self.left - n as u64 <= self.last {
+            self.disk.fill();
+        }
+        buffer[..n].fill(0);
+        self.left -= n as u64;
+        Ok(n)
+    }
+}
+
+#[test]
+fn a_disk_that_fills_under_an_upload_refuses_it_with_507_and_keeps_what_can_be_resumed() {
+    const BYTES: u64 = 8 << 20;
+    let Some(disk) = Disk::mount(48 << 20) else {
+        eprintln!("a_disk_that_fills_under_an_upload…: ignored, no disk can be mounted here");
+        return;
+    };
+    let disk = Arc::new(disk);
+    let data = disk.0.path();
+    let serve = Serve::start(data, &["--workers", "0", "--disk-reserve-bytes", "8388608"]);
+    std::fs::write(data.join("bodies/default.body.npz"), b"").unwrap();
+    let client = reqwest::blocking::Client::new();
+    let jobs = format!("{}/v1/jobs", serve.url);
+    let filling = || Filling { disk: disk.clone(), left: BYTES, last: 1 << 16 };
+    let empty = || std::fs::remove_file(data.join("filler")).unwrap();
+
+    let video = reqwest::blocking::multipart::Part::reader_with_length(filling(), BYTES);
+    let form = reqwest::blocking::multipart::Form::new().part("video", video);
+    let refused = client.post(&jobs).multipart(form).send().unwrap();
+    let status = refused.status();
+    let problem: Value = refused.json().unwrap();
+    assert_eq!(status, 507, "{problem}");
+    assert!(!problem.to_string().contains(data.to_str().unwrap()), "{problem}");
+    empty();
+    assert_eq!(std::fs::read_dir(data.join("tmp")).unwrap().count(), 0, "nothing of it stays");
+
+    let tus = ("tus-resumable", "1.0.0");
+    let begun = client.post(format!("{}/v1/uploads", serve.url)).header(tus.0, tus.1).header("upload-length", BYTES);
+    let upload = format!("{}{}", serve.url, begun.send().unwrap().headers()["location"].to_str().unwrap());
+    let offset = || -> u64 {
+        let told = client.head(&upload).header(tus.0, tus.1).send().unwrap();
+        told.headers()["upload-offset"].to_str().unwrap().parse().unwrap()
+    };
+    let send = |from: u64, body: reqwest::blocking::Body| {
+        let patch = client.patch(&upload).header(tus.0, tus.1).header("upload-offset", from);
+        patch.header("content-type", "application/offset+octet-stream").body(body).send()
+    };
+    // The server does not wait for the rest of the body: the client may still be sending, and then misses the answer.
+    if let Ok(refused) = send(0, reqwest::blocking::Body::sized(filling(), BYTES)) {
+        assert_eq!(refused.status(), 507, "{}", refused.text().unwrap());
+    }
+    let came = offset();
+    assert!(came < BYTES, "{came}");
+    empty();
+    assert_eq!(send(came, vec![0; (BYTES - came) as usize].into()).unwrap().status(), 204);
+    assert_eq!(offset(), BYTES);
+    let uploaded = client.post(&jobs).header("content-type", Form::TYPE).body(Form::clip().body()).send().unwrap();
+    assert_eq!(uploaded.status(), 202, "{}", uploaded.text().unwrap());
+    assert!(serve.terminate().success());
+}

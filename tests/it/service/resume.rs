@@ -2,33 +2,38 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
+use std::time::Duration;
 
 use effigy::body::Body;
 use effigy::eval::{SynthOptions, synthesise};
 use effigy::gpu::{DeviceSelect, Gpu};
+use effigy::jobs::{Event, Timestamp};
 use effigy::npz::Npz;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 use reqwest::blocking::{Client, Response, get, multipart};
 
 use super::process::Serve;
 use super::*;
 
-/// A made clip of the test body; false where there is no device.
-fn make_clip(folder: &Path) -> bool {
+/// A made clip of the test body, of so many frames and pixels; false where there is no device.
+pub fn make_clip(test: &str, folder: &Path, frames: usize, size_px: u32) -> bool {
     let gpu = match Gpu::open(&DeviceSelect::Auto) {
         Ok(gpu) => gpu,
         Err(reason) => {
             assert!(std::env::var_os("CI").is_none(), "CI requires a device: {reason}");
-            eprintln!("a_killed_fit_goes_on: ignored, {reason}");
+            eprintln!("{test}: ignored, {reason}");
             return false;
         }
     };
-    let options = SynthOptions { frames: 6, size_px: 64, truths: 1, seed: 3, ..SynthOptions::default() };
+    let options = SynthOptions { frames, size_px, truths: 1, seed: 3, ..SynthOptions::default() };
     synthesise(&gpu, &Body::test_body(), &options, folder, |_, _| {}).unwrap();
     true
 }
 
-fn upload(url: &str, clip: &Path) -> Value {
-    let mut form = multipart::Form::new().text("options", r#"{"preset": "draft", "body": "test"}"#);
+pub fn upload(url: &str, clip: &Path, preset: &str) -> Value {
+    let options = json!({ "preset": preset, "body": "test" });
+    let mut form = multipart::Form::new().text("options", options.to_string());
     for (part, file) in
         [("video", "video.mp4"), ("masks", "masks.zip"), ("keypoints", "keypoints.json"), ("camera", "camera.json")]
     {
@@ -70,14 +75,14 @@ impl Events {
 fn a_killed_fit_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let (clip, data) = (folder.path().join("clip"), folder.path().join("data"));
-    if !make_clip(&clip) {
+    if !make_clip("a_killed_fit_goes_on", &clip, 6, 64) {
         return;
     }
     std::fs::create_dir_all(data.join("bodies")).unwrap();
     Body::test_body().save(&data.join("bodies/test.body.npz")).unwrap();
 
     let serve = Serve::start(&data, &[]);
-    let job = upload(&serve.url, &clip);
+    let job = upload(&serve.url, &clip, "draft");
     let id = job["id"].as_str().unwrap();
     let job_url = format!("{}/v1/jobs/{id}", serve.url);
     // The end of stage 1 leaves the first checkpoint of so short a fit, or the clock on a slow machine.
@@ -121,4 +126,70 @@ fn a_killed_fit_goes_on() {
     let glb = get(format!("{}{}", serve.url, avatar["files"]["avatar.glb"].as_str().unwrap())).unwrap();
     assert_eq!(&glb.bytes().unwrap()[..4], b"glTF");
     assert!(serve.terminate().success());
+}
+
+/// The stage, as checkpoints number it, and the step that a line of a job's history tells.
+fn step_of(event: &Event) -> Option<(f64, f64)> {
+    let stage = ["geometry", "texture"].iter().position(|stage| event.data["stage"] == *stage)?;
+    // The beginning of a stage is told as a step of its own.
+    let step = event.data["step"].as_f64().filter(|step| *step > 0.0)?;
+    Some((stage as f64 + 1.0, step))
+}
+
+/// `EFFIGY_TORTURE_FIT_KILLS` kills, each later than a fit may go without a checkpoint.
+#[test]
+fn a_kill_repeats_at_most_30_seconds_of_fitting() {
+    const MOST: Duration = Duration::from_secs(30);
+    let kills = std::env::var("EFFIGY_TORTURE_FIT_KILLS").map_or(1, |text| text.parse::<u64>().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let (clip, data) = (folder.path().join("clip"), folder.path().join("data"));
+    // As long a fit as a test can wait for on a slow machine: it is not to end before the kills do.
+    if !make_clip("a_kill_repeats_at_most_30_seconds_of_fitting", &clip, 60, 192) {
+        return;
+    }
+    std::fs::create_dir_all(data.join("bodies")).unwrap();
+    Body::test_body().save(&data.join("bodies/test.body.npz")).unwrap();
+    let serve = Serve::start(&data, &[]);
+    let id: Uuid = upload(&serve.url, &clip, "paper")["id"].as_str().unwrap().parse().unwrap();
+    let checkpoint = data.join("jobs").join(id.to_string()).join("work/checkpoint.npz");
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let bench = runtime.block_on(Bench::on(data.clone()));
+    // The steps that were told after this time.
+    let steps = |since: Timestamp| -> Vec<(Timestamp, (f64, f64))> {
+        let events = runtime.block_on(bench.queue.events(id, 0, 100_000)).unwrap();
+        let steps = events.iter().filter_map(|event| Some((event.at, step_of(event)?)));
+        steps.filter(|(at, _)| *at > since).collect()
+    };
+    let mut random = Pcg64Mcg::seed_from_u64(kills);
+    let (mut since, mut most) = (Timestamp(0), Duration::ZERO);
+    for kill in 0..kills {
+        while steps(since).is_empty() {
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        std::thread::sleep(
+            MOST + Duration::from_secs(1) + Duration::from_millis(random.random_range(0..20_000) * kill.min(1)),
+        );
+        if runtime.block_on(bench.queue.get(id)).unwrap().unwrap().state.is_final() {
+            // On a quick device the whole fit takes less than a kill may cost.
+            eprintln!("the fit has ended before kill {}", kill + 1);
+            return;
+        }
+        serve.kill_worker();
+        let killed = bench.env.now();
+        let saved = Npz::open(&checkpoint).unwrap();
+        let saved = (saved.scalar("stage").unwrap(), saved.scalar("step").unwrap());
+        // The next stage's beginning is the end of the one before; steps are told once a second.
+        let told = steps(since);
+        let (at, _) = told.iter().rev().find(|(_, step)| *step <= saved).unwrap_or(&told[0]);
+        let repeated = Duration::from_millis((killed.0 - at.0) as u64);
+        eprintln!(
+            "kill {}: the checkpoint has {saved:?}, {:?} were told; {repeated:.1?} repeated",
+            kill + 1,
+            told.last()
+        );
+        assert!(repeated <= MOST, "{repeated:?} of fitting are repeated");
+        (since, most) = (killed, most.max(repeated));
+    }
+    eprintln!("{kills} kills repeated at most {most:.1?} of fitting");
+    assert!(Client::new().delete(format!("{}/v1/jobs/{id}", serve.url)).send().unwrap().status().is_success());
 }

@@ -280,14 +280,23 @@ fn an_upload_survives_cuts_and_restarts() {
         told.headers()["upload-offset"].to_str().unwrap().parse().unwrap()
     };
     let (mut peak, mut cuts, mut restarts) = (0, 0, 0);
+    // The offset that was last told, the ends of the last piece and of all of them, and the bytes that have to be sent again.
+    let (mut told, mut sent, mut furthest, mut again, mut most) = (0, 0_usize, 0, 0, 0);
     loop {
         let offset = offset_of(&serve);
-        assert!(offset <= bytes);
+        assert!(
+            (told..=furthest).contains(&offset),
+            "{offset}, not {told} to {furthest}: only the last piece may be lost"
+        );
+        again += sent.saturating_sub(offset);
+        most = most.max(sent.saturating_sub(offset));
         if offset == bytes {
             break;
         }
         let part = random.random_range(1..longest).min(bytes - offset);
         break_off(&serve, &path, offset, bytes - offset, &content[offset..offset + part]);
+        (told, sent) = (offset, offset + part);
+        furthest = furthest.max(sent);
         cuts += 1;
         peak = peak.max(serve.peak_bytes());
         if random.random_range(0..3) == 0 {
@@ -308,7 +317,10 @@ fn an_upload_survives_cuts_and_restarts() {
     }
     assert!(hash.finalize() == Sha256::digest(&content), "the bytes differ");
     assert!(cuts > 8 && restarts > 0, "{cuts} cuts, {restarts} restarts");
-    eprintln!("{bytes} bytes in {cuts} pieces, {restarts} kills of the server; its peak memory: {peak} bytes");
+    eprintln!(
+        "{bytes} bytes in {cuts} pieces, {restarts} kills of the server; its peak memory: {peak} bytes; sent again: {again} \
+         bytes, at most {most} of a piece"
+    );
     assert!(peak < 96 << 20, "{peak} bytes of memory");
 }
 

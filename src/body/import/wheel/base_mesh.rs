@@ -129,7 +129,7 @@ fn parse_cavities(bytes: Vec<u8>) -> Result<Vec<usize>, ImportError> {
     let entry = zip.by_name(&name.unwrap_or_default()).map_err(|e| bad(part, e))?;
     let mut bytes = Vec::new();
     std::io::Read::read_to_end(&mut std::io::Read::take(entry, 1 << 20), &mut bytes).map_err(|e| bad(part, e))?;
-    let indices = pickle::parse(&bytes).map_err(|e| bad(part, e))?.get("vertex_indices").and_then(|v| v.items());
+    let indices = pickle::parse(&bytes).map_err(|e| bad(part, e))?.value.get("vertex_indices").and_then(|v| v.items());
     let indices = indices.ok_or_else(|| bad(part, "no list `vertex_indices`"))?;
     let indices: Option<Vec<usize>> = indices.iter().map(|v| v.int().and_then(|i| i.try_into().ok())).collect();
     indices.ok_or_else(|| bad(part, "`vertex_indices` is not a list of indices"))
