@@ -220,6 +220,38 @@ fn the_faces_alone_are_those_of_the_whole_image() {
     }
 }
 
+/// Lists and images are those of the last image, also where it ends within four pixels and an earlier one went on.
+#[test]
+fn a_smaller_image_shows_nothing_of_a_larger_one_before() {
+    let Some(gpu) = gpu("hard_rasterize::a_smaller_image_shows_nothing_of_a_larger_one_before") else { return };
+    let (view, faces) = bumpy_surface(24);
+    let large = Camera::pinhole(64, 48, [60.0, 60.0, 31.0, 23.0]);
+    let small = Camera::pinhole(13, 11, [30.0, 30.0, 6.2, 5.3]);
+    let used = Device::new(&gpu, CONFIG, &large, &view, &faces);
+    let fresh = Device::new(&gpu, CONFIG, &small, &view, &faces);
+    let n = small.n_pixels();
+    let (colours, grad) = (noise(faces.len() * 3, 3), gpu.upload("grad", &f32s(&noise(n * 3, 4))));
+    let colours = gpu.upload("colours", &f32s(&colours));
+    let results = [&used, &fresh].map(|device| {
+        let image = gpu.zeros::<f32>("image", n * 3);
+        let (grad_view, grad_colours) =
+            (gpu.zeros("grad_view", view.len()), gpu.zeros("grad_colours", faces.len() * 3));
+        let mut recorder = gpu.recorder("hard_rasterize/test");
+        device.op.forward(&mut recorder, &small, &device.view);
+        device.op.shade(&mut recorder, &small, &colours, [0.0; 3], &image);
+        device.op.backward(&mut recorder, &small, &device.view, &grad, None, &grad_view);
+        device.op.shade_backward(&mut recorder, &small, &device.view, &grad, &grad_colours);
+        recorder.submit().unwrap();
+        let front = |buffer: &Buffer<f32>, len: usize| gpu.read_front(buffer, len).unwrap();
+        let Device { op, .. } = device;
+        let images = [front(&op.bary_coords, 3 * n), front(&op.zbuf, n), front(&op.alpha, n), front(&image, 3 * n)];
+        let grads = [front(&grad_view, view.len()), front(&grad_colours, faces.len() * 3)];
+        (device.pix_to_face(&gpu, &small), images, grads)
+    });
+    assert!(results[0].0.iter().any(|&f| f >= 0), "a face is seen");
+    assert!(results[0] == results[1], "the second image is not what it is alone");
+}
+
 #[test]
 fn a_point_has_the_coordinates_that_the_image_has_there() {
     let triangle = TRIANGLE.as_chunks::<3>().0.try_into().unwrap();
