@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use super::faults::Rig;
+use super::resume::{make_clip, upload};
 use super::*;
 
 fn from_environment(name: &str, default: u64) -> u64 {
@@ -40,15 +41,19 @@ async fn call_at_rate(url: &str, rate: u64, time: Duration) -> Vec<Duration> {
 /// `EFFIGY_TORTURE_CALLS` a second, for `EFFIGY_TORTURE_CALL_SECS`.
 #[test]
 fn status_calls_are_quick_and_cancels_prompt_under_a_fit() {
-    if crate::fit::gpu("status_calls_are_quick_and_cancels_prompt_under_a_fit").is_none() {
-        return;
-    }
     let rate = from_environment("EFFIGY_TORTURE_CALLS", 200);
     let time = Duration::from_secs(from_environment("EFFIGY_TORTURE_CALL_SECS", 2));
-    let data = tempfile::tempdir().unwrap();
-    let rig = Rig::start(data.path(), &[], &[]);
-    // The preset that takes longest: it is not to end before the calls do.
-    let job = rig.post_with(json!({ "preset": "paper" }));
+    let folder = tempfile::tempdir().unwrap();
+    let (clip, data) = (folder.path().join("clip"), folder.path().join("data"));
+    // As long a fit as a test can wait for: it is not to end before the calls do.
+    let (frames, size_px) = if time.as_secs() > 5 { (120, 256) } else { (12, 96) };
+    if !make_clip("status_calls_are_quick_and_cancels_prompt_under_a_fit", &clip, frames, size_px) {
+        return;
+    }
+    let rig = Rig::start(&data, &[], &[]);
+    effigy::body::Body::test_body().save(&data.join("bodies/test.body.npz")).unwrap();
+    let job = upload(&rig.serve.url, &clip, "paper");
+    let job = format!("{}/v1/jobs/{}", rig.serve.url, job["id"].as_str().unwrap());
     rig.until(&job, |job| job["stage"] == "geometry");
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
     // The machine's other work must not decide: the best of three rounds counts.
