@@ -1,23 +1,29 @@
-//! `effigy robustness`: a clip spoiled in many ways, fitted and compared.
+//! `effigy robustness`: a clip spoiled in many ways, or clips made in many ways, fitted and compared.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context as _, Result, ensure};
 use effigy::body::Body;
 use effigy::data_dir::{body_path, data_dir};
 use effigy::eval::{SynthOptions, synthesise};
 use effigy::gpu::{DeviceSelect, Gpu};
-use effigy::robustness::{CASES, Case, Outcome, Settings, Status, document, run as run_case, sheet};
+use effigy::robustness::{
+    CASES, Case, Comparison, Outcome, Settings, Status, TAKES, Take, document, run as run_case, sheet,
+};
 use image::codecs::jpeg::JpegEncoder;
 
 #[derive(clap::Args)]
 pub struct Args {
     /// A clip with truth, laid out as by `effigy synth`; without it one is made.
     clip: Option<PathBuf>,
-    /// Folder for `robustness.md` and its picture.
+    /// Folder for the page and its picture.
     #[arg(long, default_value = "docs")]
     out: PathBuf,
-    /// Names of cases, separated by commas [default: all]. The clean clip is always among them.
+    /// Instead of one clip spoiled, clips made as people film them; writes `filming.md`.
+    #[arg(long, conflicts_with = "clip")]
+    filmed: bool,
+    /// Names of cases, separated by commas [default: all]. The first one is always among them.
     #[arg(long, value_delimiter = ',')]
     cases: Vec<String>,
     #[arg(long, default_value = "draft")]
@@ -45,29 +51,12 @@ pub struct Args {
 }
 
 pub fn run(args: Args) -> Result<()> {
-    let chosen = chosen(&args.cases)?;
     let gpu = Gpu::open(&DeviceSelect::Auto)?;
     let work = args.work.clone().unwrap_or_else(|| data_dir().join("robustness"));
-    let clip = match &args.clip {
-        Some(clip) => clip.clone(),
-        None => made(&gpu, &args, &work)?,
-    };
-    let name = clip.file_name().context("the clip's folder has no name")?.to_string_lossy().into_owned();
-    let frames = args.max_frames.map_or(String::new(), |n| format!("-{n}"));
-    let settings = Settings {
-        // All that a result hangs on: one of other settings is none of this run's.
-        work: work.join(format!("{name}-{}-{}{frames}-{}-{}", args.body, args.preset, args.truths, args.seed)),
-        clip,
-        effigy: std::env::current_exe()?,
-        preset: args.preset.clone(),
-        body: args.body.clone(),
-        max_frames: args.max_frames,
-        seed: args.seed,
-        truths: args.truths,
-    };
-    let bar = super::progress(chosen.len() as u64, "cases");
+    let runs = if args.filmed { takes(&gpu, &args, &work)? } else { spoiled(&gpu, &args, &work)? };
+    let bar = super::progress(runs.len() as u64, "cases");
     let mut rows: Vec<(&Case, Outcome)> = Vec::new();
-    for case in chosen {
+    for (case, settings) in runs {
         bar.set_message(case.name);
         let outcome = run_case(&gpu, case, &settings).with_context(|| format!("case {}", case.name))?;
         bar.suspend(|| println!("{}", line(&outcome)));
@@ -77,22 +66,78 @@ pub fn run(args: Args) -> Result<()> {
         write(&args, &settings, gpu.info().name.as_str(), &rows)?;
     }
     bar.finish_and_clear();
-    println!("wrote {}", args.out.join("robustness.md").display());
+    println!("wrote {}", args.out.join(format!("{}.md", comparison(&args).name())).display());
     Ok(())
 }
 
-/// The cases of these names in their own order, the clean clip first.
-fn chosen(names: &[String]) -> Result<Vec<&'static Case>> {
-    for name in names {
-        let known: Vec<&str> = CASES.iter().map(|case| case.name).collect();
-        ensure!(known.contains(&name.as_str()), "case {name:?}: expected one of {}", known.join(", "));
-    }
-    let wanted = |case: &&Case| names.is_empty() || case.name == CASES[0].name || names.iter().any(|n| n == case.name);
-    Ok(CASES.iter().filter(wanted).collect())
+fn comparison(args: &Args) -> Comparison {
+    if args.filmed { Comparison::Filmed } else { Comparison::Spoiled }
 }
 
-fn made(gpu: &std::sync::Arc<Gpu>, args: &Args, work: &std::path::Path) -> Result<PathBuf> {
-    let folder = work.join(format!("made-{}-{}x{}-{}-{}", args.body, args.frames, args.size, args.truths, args.seed));
+/// Spoiled versions of one clip.
+fn spoiled(gpu: &Arc<Gpu>, args: &Args, work: &Path) -> Result<Vec<(&'static Case, Settings)>> {
+    let chosen = chosen(&args.cases, CASES.iter().collect())?;
+    let clip = match &args.clip {
+        Some(clip) => clip.clone(),
+        None => made(gpu, args, work, "made", &options(args))?,
+    };
+    let name = clip.file_name().context("the clip's folder has no name")?.to_string_lossy().into_owned();
+    let settings = settings(args, work, &name, clip)?;
+    Ok(chosen.into_iter().map(|case| (case, settings.clone())).collect())
+}
+
+/// Clips that are made in other ways.
+fn takes(gpu: &Arc<Gpu>, args: &Args, work: &Path) -> Result<Vec<(&'static Case, Settings)>> {
+    let chosen = chosen(&args.cases, TAKES.iter().map(|take| &take.case).collect())?;
+    let with_clip = |take: &'static Take| {
+        let mut options = options(args);
+        (take.film)(&mut options);
+        let clip = made(gpu, args, work, take.case.name, &options)?;
+        Ok((&take.case, settings(args, work, &format!("filmed-{}x{}", args.frames, args.size), clip)?))
+    };
+    let wanted = |take: &&Take| chosen.iter().any(|case| case.name == take.case.name);
+    TAKES.iter().filter(wanted).map(with_clip).collect()
+}
+
+fn settings(args: &Args, work: &Path, name: &str, clip: PathBuf) -> Result<Settings> {
+    let frames = args.max_frames.map_or(String::new(), |n| format!("-{n}"));
+    Ok(Settings {
+        // All that a result hangs on: one of other settings is none of this run's.
+        work: work.join(format!("{name}-{}-{}{frames}-{}-{}", args.body, args.preset, args.truths, args.seed)),
+        clip,
+        effigy: std::env::current_exe()?,
+        preset: args.preset.clone(),
+        body: args.body.clone(),
+        max_frames: args.max_frames,
+        seed: args.seed,
+        truths: args.truths,
+    })
+}
+
+/// The cases of these names in their own order, the one that all are compared with first.
+fn chosen(names: &[String], cases: Vec<&'static Case>) -> Result<Vec<&'static Case>> {
+    for name in names {
+        let known: Vec<&str> = cases.iter().map(|case| case.name).collect();
+        ensure!(known.contains(&name.as_str()), "case {name:?}: expected one of {}", known.join(", "));
+    }
+    let first = cases[0].name;
+    let wanted = |case: &&Case| names.is_empty() || case.name == first || names.iter().any(|n| n == case.name);
+    Ok(cases.into_iter().filter(wanted).collect())
+}
+
+fn options(args: &Args) -> SynthOptions {
+    SynthOptions {
+        frames: args.frames,
+        size_px: args.size,
+        seed: args.seed,
+        truths: args.truths,
+        ..SynthOptions::default()
+    }
+}
+
+/// The folder of a made clip; one that is there is taken.
+fn made(gpu: &Arc<Gpu>, args: &Args, work: &Path, name: &str, options: &SynthOptions) -> Result<PathBuf> {
+    let folder = work.join(format!("{name}-{}-{}x{}-{}-{}", args.body, args.frames, args.size, args.truths, args.seed));
     if folder.is_dir() {
         return Ok(folder);
     }
@@ -100,17 +145,10 @@ fn made(gpu: &std::sync::Arc<Gpu>, args: &Args, work: &std::path::Path) -> Resul
         "test" => Body::test_body(),
         name => Body::load(&body_path(name)).with_context(|| format!("{name}: import a body first (`make body`)"))?,
     };
-    let options = SynthOptions {
-        frames: args.frames,
-        size_px: args.size,
-        seed: args.seed,
-        truths: args.truths,
-        ..SynthOptions::default()
-    };
     std::fs::create_dir_all(work).with_context(|| work.display().to_string())?;
     // Under another name until it is whole.
     let making = work.join("making");
-    synthesise(gpu, &body, &options, &making, |_, _| {})?;
+    synthesise(gpu, &body, options, &making, |_, _| {})?;
     std::fs::rename(&making, &folder)?;
     Ok(folder)
 }
@@ -126,7 +164,8 @@ fn line(outcome: &Outcome) -> String {
 }
 
 fn write(args: &Args, settings: &Settings, device: &str, rows: &[(&Case, Outcome)]) -> Result<()> {
-    let pictures = args.out.join("robustness");
+    let comparison = comparison(args);
+    let pictures = args.out.join(comparison.name());
     std::fs::create_dir_all(&pictures).with_context(|| pictures.display().to_string())?;
     let mut jpeg = Vec::new();
     sheet(settings, rows)?.write_with_encoder(JpegEncoder::new_with_quality(&mut jpeg, 80))?;
@@ -136,10 +175,14 @@ fn write(args: &Args, settings: &Settings, device: &str, rows: &[(&Case, Outcome
         .as_ref()
         .and_then(|clip| clip.file_name())
         .map_or(String::new(), |name| format!(" {}", name.to_string_lossy()));
-    let mut command = format!("effigy robustness{clip} --preset {} --truths {}", args.preset, args.truths);
+    let filmed = if args.filmed { " --filmed" } else { "" };
+    let mut command = format!("effigy robustness{clip}{filmed} --preset {} --truths {}", args.preset, args.truths);
     if let Some(frames) = args.max_frames {
         command += &format!(" --max-frames {frames}");
     }
-    std::fs::write(args.out.join("robustness.md"), document(settings, &command, device, rows))?;
+    std::fs::write(
+        args.out.join(format!("{}.md", comparison.name())),
+        document(comparison, settings, &command, device, rows),
+    )?;
     Ok(())
 }

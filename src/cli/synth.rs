@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use effigy::body::Body;
 use effigy::data_dir::body_path;
-use effigy::eval::{Outfit, SynthOptions, synthesise};
+use effigy::eval::{Build, Filming, Outfit, SynthOptions, synthesise};
 use effigy::gpu::{DeviceSelect, Gpu};
 
 #[derive(clap::Args)]
@@ -18,12 +18,15 @@ pub struct Args {
     out: PathBuf,
     #[arg(long, default_value_t = SynthOptions::default().frames)]
     frames: usize,
-    /// Width and height in pixels.
+    /// The picture's longer side in pixels.
     #[arg(long, default_value_t = SynthOptions::default().size_px)]
     size: u32,
     /// any, tight, loose, breeches, hoodie or hair.
     #[arg(long, default_value = "any", value_parser = outfit)]
     outfit: Outfit,
+    /// any, small or heavy.
+    #[arg(long, default_value = "any", value_parser = build)]
+    build: Build,
     /// Share of the light that comes from one side.
     #[arg(long, default_value_t = SynthOptions::default().side_light)]
     side_light: f32,
@@ -38,9 +41,34 @@ pub struct Args {
     /// Frames with a truth surface, novel views and novel poses, each at most.
     #[arg(long, default_value_t = SynthOptions::default().truths)]
     truths: usize,
+    /// Focal length over the picture's longer side.
+    #[arg(long, default_value_t = Filming::default().focal)]
+    focal: f64,
+    /// Height of the picture over its width.
+    #[arg(long, default_value_t = Filming::default().aspect)]
+    aspect: f64,
+    /// Height of the person over that of the picture.
+    #[arg(long, default_value_t = Filming::default().fill)]
+    fill: f64,
+    /// Degrees by which the camera looks down.
+    #[arg(long, default_value_t = Filming::default().tilt_degrees)]
+    tilt: f64,
+    /// Turns of the person.
+    #[arg(long, default_value_t = Filming::default().turns)]
+    turns: f64,
+    /// Part of the mean speed by which the turn is faster and slower.
+    #[arg(long, default_value_t = Filming::default().speed_change)]
+    speed_change: f64,
+    /// Degrees by which the arms move up and down.
+    #[arg(long, default_value_t = Filming::default().arm_swing_degrees)]
+    arm_swing: f64,
 }
 
 fn outfit(name: &str) -> Result<Outfit, serde_json::Error> {
+    serde_json::from_value(name.into())
+}
+
+fn build(name: &str) -> Result<Build, serde_json::Error> {
     serde_json::from_value(name.into())
 }
 
@@ -57,11 +85,21 @@ pub fn run(args: Args) -> Result<()> {
         frames: args.frames,
         size_px: args.size,
         seed: args.seed,
+        build: args.build,
         outfit: args.outfit,
         side_light: args.side_light,
         fps: args.fps,
         keypoint_noise_px: args.keypoint_noise,
         truths: args.truths,
+        filming: Filming {
+            focal: args.focal,
+            aspect: args.aspect,
+            fill: args.fill,
+            tilt_degrees: args.tilt,
+            turns: args.turns,
+            speed_change: args.speed_change,
+            arm_swing_degrees: args.arm_swing,
+        },
     };
     let body = body(&args.body)?;
     let gpu = Gpu::open(&DeviceSelect::Auto)?;

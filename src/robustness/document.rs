@@ -1,4 +1,4 @@
-//! docs/robustness.md and its picture.
+//! docs/robustness.md and docs/filming.md with their pictures.
 
 use std::fmt::Write;
 
@@ -13,6 +13,50 @@ use crate::page::strip;
 const ALLOWED_DB: f64 = 3.0;
 /// Cases a row of the picture.
 const COLUMNS: usize = 3;
+
+/// What a page compares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Comparison {
+    /// One clip, spoiled.
+    Spoiled,
+    /// Clips made in other ways.
+    Filmed,
+}
+
+impl Comparison {
+    /// Of the page's file, and of its pictures' folder.
+    pub fn name(self) -> &'static str {
+        match self {
+            Comparison::Spoiled => "robustness",
+            Comparison::Filmed => "filming",
+        }
+    }
+
+    fn title(self) -> &'static str {
+        match self {
+            Comparison::Spoiled => "What spoiled clips come to",
+            Comparison::Filmed => "What clips come to that are filmed in other ways",
+        }
+    }
+
+    fn method(self, settings: &Settings) -> String {
+        let preset = &settings.preset;
+        match self {
+            Comparison::Spoiled => {
+                let clip = settings.clip.file_name().unwrap_or_default().to_string_lossy();
+                format!(
+                    "The clip `{clip}` was spoiled in one way at a time, fitted with `{preset}`, and compared with the \
+                     unspoiled truth."
+                )
+            }
+            Comparison::Filmed => format!(
+                "Made persons (`effigy synth`), filmed and turning in one other way at a time, fitted with `{preset}`, each \
+                 compared with its own truth. Pictures of other sizes and other people are not as hard, so a change of PSNR \
+                 is partly theirs."
+            ),
+        }
+    }
+}
 
 /// What a row comes to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,20 +108,25 @@ fn new_flags<'a>(outcome: &'a Outcome, clean: &Outcome) -> Vec<&'a str> {
     outcome.flags.iter().filter(|flag| !clean.flags.contains(flag)).map(String::as_str).collect()
 }
 
-/// The page. `rows` are cases with their outcomes, the clean clip first.
+/// The page. `rows` are cases with their outcomes, the one that they are compared with first.
 ///
 /// # Panics
 /// Without rows.
-pub fn document(settings: &Settings, command: &str, device: &str, rows: &[(&Case, Outcome)]) -> String {
+pub fn document(
+    comparison: Comparison,
+    settings: &Settings,
+    command: &str,
+    device: &str,
+    rows: &[(&Case, Outcome)],
+) -> String {
     let clean = &rows[0].1;
-    let clip = settings.clip.file_name().unwrap_or_default().to_string_lossy();
     let mut text = format!(
-        "# What spoiled clips come to\n\nWritten by `{command}` on {device}.\n\nThe clip `{clip}` was spoiled in one way at a \
-         time, fitted with `{}`, and compared with the unspoiled truth. PSNR is of held-out pictures on white in our scale (*aligned*: views of the avatar after its surface was laid onto the truth's, so without errors of place and focal length), \
+        "# {}\n\nWritten by `{command}` on {device}.\n\n{} PSNR is of held-out pictures on white in our scale (*aligned*: views of the avatar after its surface was laid onto the truth's, so without errors of place and focal length), \
          Chamfer the mean of both directions after alignment ([definitions](metrics.md)); in brackets the change against the \
-         clean clip. A case *holds* where neither PSNR falls by more than {ALLOWED_DB:.0} dB. Otherwise the report should say \
-         what was wrong: the flags ([what they mean](quality.md)) are those that the clean clip does not raise",
-        settings.preset
+         first row. A case *holds* where neither PSNR falls by more than {ALLOWED_DB:.0} dB. Otherwise the report should say \
+         what was wrong: the flags ([what they mean](quality.md)) are those that the first row does not raise",
+        comparison.title(),
+        comparison.method(settings)
     );
     text += &match &clean.flags[..] {
         [] => " (it raises none).\n\n".to_owned(),
@@ -106,11 +155,12 @@ pub fn document(settings: &Settings, command: &str, device: &str, rows: &[(&Case
         [Verdict::Holds, Verdict::Said, Verdict::Silent, Verdict::Refused, Verdict::Crashed].map(count);
     let _ = write!(
         text,
-        "\nOf {} perturbations {holds} hold, {said} are worse and flagged, {silent} worse and not flagged, {refused} refused, \
+        "\nOf {} others {holds} hold, {said} are worse and flagged, {silent} worse and not flagged, {refused} refused, \
          {crashed} crashed.\n",
         rows.len() - 1
     );
-    text += "\n![each case: input, a held-out view, a held-out pose](robustness/cases.jpg)\n\nThe cases in the order of the \
+    let _ = write!(text, "\n![each case: input, a held-out view, a held-out pose]({}/cases.jpg)\n", comparison.name());
+    text += "\nThe cases in the order of the \
              table, three a row, each with its first frame as the fit sees it (dark outside the mask), a held-out view and a \
              held-out pose of the avatar.\n";
     text
@@ -201,7 +251,7 @@ mod tests {
             seed: 0,
             truths: 4,
         };
-        let page = document(&settings, "effigy robustness data/subject", "a device", &rows);
+        let page = document(Comparison::Spoiled, &settings, "effigy robustness data/subject", "a device", &rows);
         for part in [
             "it raises `few_frames`",
             "| 1 | the clip as it is | 28.00 | 30.00 | 25.00 | 0.500 | – |  |  |",
@@ -209,7 +259,7 @@ mod tests {
             "| `blurred_clip` | worse, flagged |",
             "|  | **worse, not flagged** |",
             "refused: masks: frame 3 |",
-            "Of 4 perturbations 1 hold, 1 are worse and flagged, 1 worse and not flagged, 1 refused, 0 crashed.",
+            "Of 4 others 1 hold, 1 are worse and flagged, 1 worse and not flagged, 1 refused, 0 crashed.",
         ] {
             assert!(page.contains(part), "`{part}` is not in\n{page}");
         }

@@ -1,5 +1,6 @@
 //! What a fit makes of spoiled clips: a clip with truth is perturbed in one way at a time, fitted as a process of its own,
-//! evaluated against the unspoiled truth, and compared with the clean clip. docs/robustness.md is written from the results.
+//! evaluated against the unspoiled truth, and compared with the clean clip (docs/robustness.md); and clips are made as people
+//! film them (docs/filming.md).
 
 mod cases;
 mod document;
@@ -8,8 +9,10 @@ mod images;
 mod keypoints;
 mod masks;
 mod run;
+mod takes;
 
 pub use cases::{CASES, Case};
-pub use document::{document, sheet};
+pub use document::{Comparison, document, sheet};
 pub use footage::Footage;
 pub use run::{Outcome, Settings, Status, run};
+pub use takes::{TAKES, Take};

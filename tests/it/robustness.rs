@@ -1,30 +1,54 @@
-//! `effigy robustness` on a tiny made clip: cases are fitted, compared, written down, and not run again.
+//! `effigy robustness` on tiny made clips: cases are fitted, compared, written down, and not run again.
 
 use std::path::Path;
 use std::process::{Command, Output};
 
 use effigy::gpu::{DeviceSelect, Gpu};
 
-fn robustness(folder: &Path, cases: &str) -> Output {
+fn robustness(folder: &Path, more: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_effigy"));
-    command.args(["robustness", "--body", "test", "--frames", "8", "--size", "64", "--truths", "1", "--cases", cases]);
+    command.args(["robustness", "--body", "test", "--frames", "8", "--size", "64", "--truths", "1"]).args(more);
     command.arg("--work").arg(folder.join("work")).arg("--out").arg(folder.join("docs"));
     command.output().unwrap()
 }
 
+/// Whether there is a device; in CI there must be.
+fn has_device(test: &str) -> bool {
+    let Err(reason) = Gpu::open(&DeviceSelect::Auto) else { return true };
+    assert!(std::env::var_os("CI").is_none(), "CI requires a device: {reason}");
+    eprintln!("{test}: ignored, {reason}");
+    false
+}
+
 #[test]
-fn spoiled_clips_are_compared_with_the_clean_one_and_not_twice() {
-    if let Err(reason) = Gpu::open(&DeviceSelect::Auto) {
-        assert!(std::env::var_os("CI").is_none(), "CI requires a device: {reason}");
-        eprintln!("spoiled_clips_are_compared_with_the_clean_one_and_not_twice: ignored, {reason}");
+fn clips_filmed_otherwise_are_compared_with_the_plain_one() {
+    if !has_device("clips_filmed_otherwise_are_compared_with_the_plain_one") {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let output = robustness(folder.path(), "masks-blob");
+    let output = robustness(folder.path(), &["--filmed", "--cases", "phone"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let page = std::fs::read_to_string(folder.path().join("docs/filming.md")).unwrap();
+    assert!(page.contains("| 1 | a level camera") && page.contains("| 2 | a phone held close"), "{page}");
+    assert!(page.contains("(filming/cases.jpg)") && page.contains("Of 1 others"), "{page}");
+    let clip = folder.path().join("work/phone-test-8x64-1-0");
+    let camera: serde_json::Value = serde_json::from_slice(&std::fs::read(clip.join("camera.json")).unwrap()).unwrap();
+    assert_eq!((&camera["width"], &camera["height"]), (&48.into(), &84.into()), "upright, a third taller than 64");
+    let wrong = robustness(folder.path(), &["--filmed", "--cases", "masks-blob"]);
+    assert!(!wrong.status.success() && String::from_utf8_lossy(&wrong.stderr).contains("phone"));
+}
+
+#[test]
+fn spoiled_clips_are_compared_with_the_clean_one_and_not_twice() {
+    if !has_device("spoiled_clips_are_compared_with_the_clean_one_and_not_twice") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let output = robustness(folder.path(), &["--cases", "masks-blob"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let page = std::fs::read_to_string(folder.path().join("docs/robustness.md")).unwrap();
     assert!(page.contains("| the clip as it is |") && page.contains("| masks: a second part"), "{page}");
-    assert!(page.contains("`second_blob`") && page.contains("Of 1 perturbations"), "{page}");
+    assert!(page.contains("`second_blob`") && page.contains("Of 1 others"), "{page}");
     let sheet = image::open(folder.path().join("docs/robustness/cases.jpg")).unwrap();
     assert!(
         sheet.width() > 200 && sheet.height() >= 64,
@@ -38,10 +62,10 @@ fn spoiled_clips_are_compared_with_the_clean_one_and_not_twice() {
     let mut result: serde_json::Value = serde_json::from_slice(&std::fs::read(&work).unwrap()).unwrap();
     result["views_db"] = 99.0.into();
     std::fs::write(&work, result.to_string()).unwrap();
-    assert!(robustness(folder.path(), "masks-blob").status.success());
+    assert!(robustness(folder.path(), &["--cases", "masks-blob"]).status.success());
     let page = std::fs::read_to_string(folder.path().join("docs/robustness.md")).unwrap();
     assert!(page.contains("99.00") && page.contains("worse, flagged"), "{page}");
 
-    let wrong = robustness(folder.path(), "nothing");
+    let wrong = robustness(folder.path(), &["--cases", "nothing"]);
     assert!(!wrong.status.success() && String::from_utf8_lossy(&wrong.stderr).contains("masks-blob"));
 }

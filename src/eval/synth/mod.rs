@@ -1,7 +1,9 @@
 //! Made clips with truth: a body of random shape in made clothes turns once before a camera. The folder is laid out for
 //! [`Subject`](super::Subject) and as an upload.
 
+mod build;
 mod clothes;
+mod filming;
 mod keypoints;
 mod motion;
 mod paint;
@@ -15,9 +17,11 @@ use image::RgbImage;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
+pub use self::build::Build;
 pub use self::clothes::Outfit;
 use self::clothes::{Dress, dress};
-use self::keypoints::{detect, normal};
+pub use self::filming::Filming;
+use self::keypoints::detect;
 use self::motion::{novel_poses, turn};
 use self::paint::Paint;
 use self::write::{FolderWriter, NovelEntry};
@@ -32,9 +36,10 @@ use crate::ops::skinning::cpu::{Posed, forward};
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct SynthOptions {
     pub frames: usize,
-    /// Width and height, even
+    /// The picture's longer side, even
     pub size_px: u32,
     pub seed: u64,
+    pub build: Build,
     /// A named outfit is of checked cloth, so that there is something to see everywhere.
     pub outfit: Outfit,
     /// Share of the light that comes from one side; zero lights everything evenly.
@@ -42,6 +47,7 @@ pub struct SynthOptions {
     pub fps: f64,
     /// σ of the keypoints at 540 px; scaled with the size
     pub keypoint_noise_px: f64,
+    pub filming: Filming,
     /// Frames with a truth surface, novel views and novel poses, each at most
     pub truths: usize,
 }
@@ -52,10 +58,12 @@ impl Default for SynthOptions {
             frames: 60,
             size_px: 360,
             seed: 1,
+            build: Build::Any,
             outfit: Outfit::Any,
             side_light: 0.28,
             fps: 30.0,
             keypoint_noise_px: 2.0,
+            filming: Filming::default(),
             truths: 8,
         }
     }
@@ -84,9 +92,6 @@ pub enum SynthError {
 
 /// Samples along a pixel's side.
 const SAMPLES: u32 = 4;
-
-/// Height of the person over the picture's height.
-const FILL: f64 = 0.84;
 
 /// One made person before one camera.
 struct Scene<'a> {
@@ -117,14 +122,14 @@ impl Scene<'_> {
 }
 
 /// A still wall and floor behind the person.
-fn backdrop(x: u32, y: u32, size: u32) -> [u8; 3] {
-    let (u, v) = (x as f32 / size as f32, y as f32 / size as f32);
+fn backdrop(x: u32, y: u32, width: u32, height: u32) -> [u8; 3] {
+    let (u, v) = (x as f32 / width as f32, y as f32 / height as f32);
     let grey = if v < 0.82 { 150.0 + 30.0 * (1.0 - v) - 25.0 * (u - 0.5).abs() } else { 115.0 + 120.0 * (v - 0.82) };
     [grey, grey * 0.985, grey * 0.96].map(|c| c as u8)
 }
 
-fn over_backdrop(picture: &Picture, size: u32) -> RgbImage {
-    image::DynamicImage::ImageRgba8(picture.over(|x, y| backdrop(x, y, size))).into_rgb8()
+fn over_backdrop(picture: &Picture, camera: &Camera) -> RgbImage {
+    image::DynamicImage::ImageRgba8(picture.over(|x, y| backdrop(x, y, camera.width, camera.height))).into_rgb8()
 }
 
 /// Makes a clip of `body` in `folder`: `video.mp4`, `masks.zip`, `keypoints.json`, `camera.json`, `truth/` and `novel/`.
@@ -138,16 +143,20 @@ pub fn synthesise(
 ) -> Result<(), SynthError> {
     check(options)?;
     let mut rng = Pcg64::seed_from_u64(options.seed);
-    let betas: Vec<f32> = (0..body.n_betas).map(|_| (0.7 * normal(&mut rng)).clamp(-1.5, 1.5) as f32).collect();
+    let betas = options.build.betas(body, &mut rng);
     let dress = dress(body, &betas, options.outfit, &mut rng);
     let paint = Paint::random(body, &betas, &dress, options, &mut rng);
-    let (camera, centre) = camera(options.size_px, &dress.rest, body.shaped_joints(&betas)[0]);
+    let filming = &options.filming;
+    let ys = dress.rest.iter().map(|v| f64::from(v[1]));
+    let (low, high) = ys.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), y| (l.min(y), h.max(y)));
+    let (camera, centre) = filming.camera(options.size_px, low, high, f64::from(body.shaped_joints(&betas)[0][1]));
+    let centre = centre.as_vec3().to_array();
     let tracer = Tracer::new(gpu, &body.faces, body.n_vertices());
     let scene = Scene { body, betas: &betas, dress: &dress, paint, tracer, camera, centre };
     let mut out = FolderWriter::create(folder, options)?;
     out.canonical(body, &dress.rest)?;
 
-    let (poses, sways) = turn(options.frames, &mut rng);
+    let (poses, sways) = turn(options.frames, filming, &mut rng);
     let truth_step = options.frames.div_ceil(options.truths.max(1));
     for (i, (pose, sway)) in poses.iter().zip(&sways).enumerate() {
         let pelvis: [f32; 3] = std::array::from_fn(|k| scene.centre[k] + sway[k]);
@@ -155,21 +164,21 @@ pub fn synthesise(
         let picture = scene.picture(&posed, &scene.camera)?;
         let noise_px = options.keypoint_noise_px * options.size_px as f64 / 540.0;
         let keypoints = detect(body, &posed.vertices, &posed.joints, &scene.camera, noise_px, &mut rng);
-        out.frame(&over_backdrop(&picture, options.size_px), &picture.coverage(), pose, &posed.joints, keypoints)?;
+        out.frame(&over_backdrop(&picture, &scene.camera), &picture.coverage(), pose, &posed.joints, keypoints)?;
         if i % truth_step == 0 {
             out.surface(i, body, &posed.vertices)?;
         }
         if i == 0 {
             for k in 0..options.truths {
-                novel_view(&scene, &posed, k, options, &mut out)?;
+                novel_view(&scene, &posed, k, options.truths, &mut out)?;
             }
         }
         progress(i + 1, options.frames);
     }
-    for (name, pose) in novel_poses().into_iter().take(options.truths) {
+    for (name, pose) in novel_poses(filming).into_iter().take(options.truths) {
         let picture = scene.picture(&scene.posed(&pose, scene.centre), &scene.camera)?;
         let entry = NovelEntry::of_pose(name, &pose, scene.centre, &scene.camera);
-        out.novel_pose(entry, &over_backdrop(&picture, options.size_px), &picture.coverage())?;
+        out.novel_pose(entry, &over_backdrop(&picture, &scene.camera), &picture.coverage())?;
     }
     out.finish(body, &betas, &scene.camera, options)
 }
@@ -181,18 +190,7 @@ fn check(options: &SynthOptions) -> Result<(), SynthError> {
     if !(32..=4096).contains(&options.size_px) || !options.size_px.is_multiple_of(2) {
         return Err(SynthError::Options(format!("a size of {} px, expected 32 to 4096 and even", options.size_px)));
     }
-    Ok(())
-}
-
-/// A camera that sees the person whole, and where the pelvis then is: the T-pose centred in the picture.
-fn camera(size_px: u32, rest: &[[f32; 3]], pelvis: [f32; 3]) -> (Camera, [f32; 3]) {
-    let ys = rest.iter().map(|v| v[1]);
-    let (low, high) = ys.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), y| (l.min(y), h.max(y)));
-    let size = size_px as f64;
-    let focal = 1.425 * size;
-    let distance = focal * (high - low) as f64 / (FILL * size);
-    let camera = Camera::pinhole(size_px, size_px, [focal, focal, 0.5 * size, 0.5 * size]);
-    (camera, [0.0, 0.5 * (low + high) - pelvis[1], distance as f32])
+    options.filming.check()
 }
 
 /// Frame 0 from a camera that has walked round the person and looks a little down.
@@ -200,10 +198,10 @@ fn novel_view(
     scene: &Scene<'_>,
     posed: &Posed<f32>,
     k: usize,
-    options: &SynthOptions,
+    n: usize,
     out: &mut FolderWriter,
 ) -> Result<(), SynthError> {
-    let azimuth = std::f64::consts::TAU * (k as f64 + 0.5) / options.truths as f64;
+    let azimuth = std::f64::consts::TAU * (k as f64 + 0.5) / n as f64;
     let elevation: f64 = if k.is_multiple_of(2) { 0.09 } else { 0.2 };
     let rotation = DMat3::from_rotation_x(elevation) * DMat3::from_rotation_y(azimuth);
     let centre = DVec3::new(0.0, 0.0, scene.centre[2] as f64);
@@ -213,5 +211,5 @@ fn novel_view(
         ..scene.camera.clone()
     };
     let picture = scene.picture(posed, &camera)?;
-    out.novel_view(k, &camera, &over_backdrop(&picture, options.size_px), &picture.coverage())
+    out.novel_view(k, &camera, &over_backdrop(&picture, &camera), &picture.coverage())
 }

@@ -81,7 +81,7 @@ impl FolderWriter {
     pub fn create(folder: &Path, options: &SynthOptions) -> Result<Self, SynthError> {
         std::fs::create_dir_all(folder.join("truth"))?;
         std::fs::create_dir_all(folder.join("novel"))?;
-        let size = (options.size_px, options.size_px);
+        let size = options.filming.size(options.size_px);
         Ok(Self {
             video: VideoWriter::create(&folder.join("video.mp4"), size, options.fps, Quality::Fine)?,
             masks: zip::ZipWriter::new(BufWriter::new(File::create(folder.join("masks.zip"))?)),
