@@ -11,6 +11,12 @@ use crate::ops::temporal::{Temporal, TemporalConfig};
 pub const POSE_JUMP: f32 = 0.5;
 pub const PLACE_JUMP: f32 = 0.1;
 
+/// Usual accelerations of clips of this many frames and more: radians and metres a frame². Fewer frames lie further apart,
+/// and what is the same motion accelerates by the square of that more.
+const FRAMES: f64 = 30.0;
+const POSE_ACCELERATION: f64 = 0.03;
+const PLACE_ACCELERATION: f64 = 0.005;
+
 /// Penalties on the accelerations of pose and placement, and on the way of the joints' angles from the stage's start.
 pub struct Motion {
     pose: Temporal,
@@ -21,9 +27,12 @@ pub struct Motion {
 impl Motion {
     /// `start [N, 72]`: the poses that the joints are held near.
     pub fn new(gpu: &Gpu, start: &[f32]) -> Self {
-        // Radians and metres a frame²; the root's orientation is well seen and is left free.
-        let pose = TemporalConfig { stride: 72, first: 3, scale: 0.03, max_change: POSE_JUMP.into() };
-        let transl = TemporalConfig { stride: 3, first: 0, scale: 0.005, max_change: PLACE_JUMP.into() };
+        let apart = (FRAMES / (start.len() / 72).max(1) as f64).max(1.0).powi(2);
+        let (scale, max_change) = (POSE_ACCELERATION * apart, POSE_JUMP.into());
+        // The root's orientation is well seen and is left free.
+        let pose = TemporalConfig { stride: 72, first: 3, scale, max_change };
+        let (scale, max_change) = (PLACE_ACCELERATION * apart, PLACE_JUMP.into());
+        let transl = TemporalConfig { stride: 3, first: 0, scale, max_change };
         let anchor = AnchorConfig { stride: 72, first: 3, scale: 0.1 };
         Self {
             pose: Temporal::new(gpu, pose),

@@ -88,7 +88,9 @@ async fn a_job_that_always_fails_ends_after_its_attempts() {
     });
     let job = bench.until(bad, State::Failed).await;
     assert_eq!((job.attempt, runs.load(Ordering::Relaxed)), (3, 3));
-    assert!(job.error.unwrap().detail.contains("this one always"));
+    let error = job.error.unwrap();
+    assert_eq!(error.kind, "internal");
+    assert!(!error.detail.contains("this one always"), "causes are for the log: {}", error.detail);
     bench.until(good, State::Succeeded).await;
 }
 
