@@ -11,11 +11,15 @@ use crate::ops::temporal::{Temporal, TemporalConfig};
 pub const POSE_JUMP: f32 = 0.5;
 pub const PLACE_JUMP: f32 = 0.1;
 
-/// Usual accelerations of clips of this many frames and more: radians and metres a frame². Fewer frames lie further apart,
-/// and what is the same motion accelerates by the square of that more.
-const FRAMES: f64 = 30.0;
+/// Usual accelerations in a clip of 30 frames: radians and metres a frame².
 const POSE_ACCELERATION: f64 = 0.03;
 const PLACE_ACCELERATION: f64 = 0.005;
+
+/// Usual accelerations in a clip of `n` frames over those in one of 30: a frame's time is shorter where there are more. Only
+/// down to that of 60 frames: what comes and goes within fewer is no part of a turn.
+fn acceleration(n: usize) -> f64 {
+    (30.0 / n.clamp(1, 60) as f64).powi(2)
+}
 
 /// Penalties on the accelerations of pose and placement, and on the way of the joints' angles from the stage's start.
 pub struct Motion {
@@ -27,11 +31,11 @@ pub struct Motion {
 impl Motion {
     /// `start [N, 72]`: the poses that the joints are held near.
     pub fn new(gpu: &Gpu, start: &[f32]) -> Self {
-        let apart = (FRAMES / (start.len() / 72).max(1) as f64).max(1.0).powi(2);
-        let (scale, max_change) = (POSE_ACCELERATION * apart, POSE_JUMP.into());
+        let usual = acceleration(start.len() / 72);
+        let (scale, max_change) = (POSE_ACCELERATION * usual, POSE_JUMP.into());
         // The root's orientation is well seen and is left free.
         let pose = TemporalConfig { stride: 72, first: 3, scale, max_change };
-        let (scale, max_change) = (PLACE_ACCELERATION * apart, PLACE_JUMP.into());
+        let (scale, max_change) = (PLACE_ACCELERATION * usual, PLACE_JUMP.into());
         let transl = TemporalConfig { stride: 3, first: 0, scale, max_change };
         let anchor = AnchorConfig { stride: 72, first: 3, scale: 0.1 };
         Self {
@@ -51,5 +55,21 @@ impl Motion {
         if weights.anchor != 0.0 {
             self.anchor.backward(recorder, &poses.values, share * weights.anchor, &poses.grads);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_motion_costs_the_same_in_a_few_frames_and_in_many() {
+        // Of a parabola over the clip, the second difference.
+        let second = |n: usize| 2.0 / (n as f64).powi(2);
+        for n in [8, 15, 30, 60] {
+            let cost = second(n) / acceleration(n);
+            assert!((cost / second(30) - 1.0).abs() < 1e-9, "{n} frames: {cost}");
+        }
+        assert_eq!(acceleration(120), acceleration(60));
     }
 }
