@@ -180,6 +180,9 @@ fn write(args: &Args, settings: &Settings, device: &str, rows: &[(&Case, Outcome
     if let Some(frames) = args.max_frames {
         command += &format!(" --max-frames {frames}");
     }
+    if args.seed != 0 {
+        command += &format!(" --seed {}", args.seed);
+    }
     std::fs::write(
         args.out.join(format!("{}.md", comparison.name())),
         document(comparison, settings, &command, device, rows),
