@@ -1,5 +1,5 @@
-// One pixel that shows a face an invocation: lists the pixels that may end before a neighbour, for `edge_gradient/screen` and `nmr/screen`.
-// They are few, and what is done for them is long. The order is that of arrival; each writes its own result.
+// One pixel that shows a face an invocation: lists the pixels that may end before a neighbour, for `edge_gradient/screen`
+// and `nmr/screen`. They are few, and what is done for them is long. The order is that of arrival; each writes its own result.
 #import shared/linear_index
 
 struct Params {

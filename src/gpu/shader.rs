@@ -14,6 +14,7 @@ use std::fmt::Write;
 
 /// The import-only sources.
 const SHARED: &[(&str, &str)] = &[
+    ("shared/adam_step", include_str!("../../shaders/shared/adam_step.wgsl")),
     ("shared/area_ratio", include_str!("../../shaders/shared/area_ratio.wgsl")),
     ("shared/hard_triangle", include_str!("../../shaders/shared/hard_triangle.wgsl")),
     ("shared/hash_grid", include_str!("../../shaders/shared/hash_grid.wgsl")),

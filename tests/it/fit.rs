@@ -15,6 +15,7 @@ use effigy::jobs::{JobOptions, Preset};
 use effigy::worker::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput};
 use effigy::worker::pipeline::{Preview, Progress, Stage, StopReason};
 
+/// A device, or `None` after saying that `test` is ignored; CI requires one.
 pub fn gpu(test: &str) -> Option<Arc<Gpu>> {
     match Gpu::open(&DeviceSelect::Auto) {
         Ok(gpu) => Some(gpu),

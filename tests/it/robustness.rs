@@ -3,8 +3,6 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use effigy::gpu::{DeviceSelect, Gpu};
-
 fn robustness(folder: &Path, more: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_effigy"));
     command.args(["robustness", "--body", "test", "--frames", "8", "--size", "64", "--truths", "1"]).args(more);
@@ -12,17 +10,9 @@ fn robustness(folder: &Path, more: &[&str]) -> Output {
     command.output().unwrap()
 }
 
-/// Whether there is a device; in CI there must be.
-fn has_device(test: &str) -> bool {
-    let Err(reason) = Gpu::open(&DeviceSelect::Auto) else { return true };
-    assert!(std::env::var_os("CI").is_none(), "CI requires a device: {reason}");
-    eprintln!("{test}: ignored, {reason}");
-    false
-}
-
 #[test]
 fn clips_filmed_otherwise_are_compared_with_the_plain_one() {
-    if !has_device("clips_filmed_otherwise_are_compared_with_the_plain_one") {
+    if crate::fit::gpu("clips_filmed_otherwise_are_compared_with_the_plain_one").is_none() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -40,7 +30,7 @@ fn clips_filmed_otherwise_are_compared_with_the_plain_one() {
 
 #[test]
 fn spoiled_clips_are_compared_with_the_clean_one_and_not_twice() {
-    if !has_device("spoiled_clips_are_compared_with_the_clean_one_and_not_twice") {
+    if crate::fit::gpu("spoiled_clips_are_compared_with_the_clean_one_and_not_twice").is_none() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

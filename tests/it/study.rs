@@ -2,20 +2,12 @@
 
 use std::path::Path;
 
-use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::study::cost::{STUDY, Settings, run};
 use effigy::study::{Context, Saved, document};
 
 #[test]
 fn the_cost_of_a_small_fit_is_measured_and_shown() {
-    let gpu = match Gpu::open(&DeviceSelect::Auto) {
-        Ok(gpu) => gpu,
-        Err(reason) => {
-            assert!(std::env::var_os("CI").is_none(), "CI requires a device: {reason}");
-            eprintln!("the_cost_of_a_small_fit_is_measured_and_shown: ignored, {reason}");
-            return;
-        }
-    };
+    let Some(gpu) = crate::fit::gpu("the_cost_of_a_small_fit_is_measured_and_shown") else { return };
     let folder = tempfile::tempdir().unwrap();
     let context = Context {
         gpu,

@@ -7,21 +7,8 @@ use effigy::avatar::{AvatarModel, Renderer, ply};
 use effigy::body::Body;
 use effigy::camera::Camera;
 use effigy::eval::{EvalOptions, Subject, SynthOptions, evaluate, synthesise};
-use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::npz::Npz;
 use effigy::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
-
-/// A device, or `None` after saying that `test` is ignored; CI requires one.
-fn gpu(test: &str) -> Option<Arc<Gpu>> {
-    match Gpu::open(&DeviceSelect::Auto) {
-        Ok(gpu) => Some(gpu),
-        Err(reason) => {
-            assert!(std::env::var_os("CI").is_none(), "{test}: CI requires a device: {reason}");
-            eprintln!("{test}: ignored, {reason}");
-            None
-        }
-    }
-}
 
 fn options() -> SynthOptions {
     SynthOptions { frames: 4, size_px: 96, truths: 2, seed: 11, ..SynthOptions::default() }
@@ -59,7 +46,9 @@ fn truth_avatar(folder: &Path) -> AvatarModel {
 
 #[test]
 fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
-    let Some(gpu) = gpu("the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved") else { return };
+    let Some(gpu) = crate::fit::gpu("the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved") else {
+        return;
+    };
     let folder = tempfile::tempdir().unwrap();
     let mut frames = 0;
     synthesise(&gpu, &Body::test_body(), &options(), folder.path(), |done, _| frames = done).unwrap();
@@ -106,7 +95,7 @@ fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
 
 #[test]
 fn a_clip_is_the_same_for_the_same_seed() {
-    let Some(gpu) = gpu("a_clip_is_the_same_for_the_same_seed") else { return };
+    let Some(gpu) = crate::fit::gpu("a_clip_is_the_same_for_the_same_seed") else { return };
     let made = |seed: u64| {
         let folder = tempfile::tempdir().unwrap();
         let options = SynthOptions { frames: 1, size_px: 48, truths: 1, seed, ..SynthOptions::default() };
@@ -121,7 +110,7 @@ fn a_clip_is_the_same_for_the_same_seed() {
 
 #[test]
 fn absurd_options_are_refused() {
-    let Some(gpu) = gpu("absurd_options_are_refused") else { return };
+    let Some(gpu) = crate::fit::gpu("absurd_options_are_refused") else { return };
     let folder = tempfile::tempdir().unwrap();
     for options in [SynthOptions { frames: 0, ..options() }, SynthOptions { size_px: 97, ..options() }] {
         assert!(synthesise(&gpu, &Body::test_body(), &options, folder.path(), |_, _| {}).is_err());
@@ -130,7 +119,7 @@ fn absurd_options_are_refused() {
 
 #[test]
 fn keypoints_without_noise_are_the_projected_joints() {
-    let Some(gpu) = gpu("keypoints_without_noise_are_the_projected_joints") else { return };
+    let Some(gpu) = crate::fit::gpu("keypoints_without_noise_are_the_projected_joints") else { return };
     let folder = tempfile::tempdir().unwrap();
     let options = SynthOptions { keypoint_noise_px: 0.0, ..options() };
     synthesise(&gpu, &Body::test_body(), &options, folder.path(), |_, _| {}).unwrap();

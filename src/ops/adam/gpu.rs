@@ -1,4 +1,4 @@
-//! Host side of `shaders/adam/step.wgsl` and `step4.wgsl`.
+//! Host side of `shaders/shared/adam_step.wgsl`.
 
 use std::ops::Range;
 use std::sync::Arc;

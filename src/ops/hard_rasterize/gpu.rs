@@ -54,7 +54,18 @@ pub struct HardRasterizer {
 
 impl HardRasterizer {
     pub fn new(gpu: &Gpu, corners: &Arc<Corners>, max_pixels: usize, config: HardRasterizeConfig) -> Self {
-        let nearest = Nearest::new(gpu, max_pixels, config.cull_back);
+        Self::with_passes(gpu, corners, max_pixels, config, gpu.info().wide_atomics)
+    }
+
+    /// As [`HardRasterizer::new`], with the nearest faces found in one pass or in two.
+    pub(super) fn with_passes(
+        gpu: &Gpu,
+        corners: &Arc<Corners>,
+        max_pixels: usize,
+        config: HardRasterizeConfig,
+        wide: bool,
+    ) -> Self {
+        let nearest = Nearest::new(gpu, max_pixels, config.cull_back, wide);
         Self {
             list: kernel!(gpu, "hard_rasterize/list", &nearest.constants()),
             resolve: kernel!(gpu, "hard_rasterize/resolve"),

@@ -15,10 +15,11 @@ pub(super) enum Nearest {
 }
 
 impl Nearest {
-    pub fn new(gpu: &Gpu, max_pixels: usize, cull_back: bool) -> Self {
+    /// `wide`: in one pass, which the device must be able to.
+    pub fn new(gpu: &Gpu, max_pixels: usize, cull_back: bool, wide: bool) -> Self {
         let cull = &[("CULL_BACK", cull_back.to_string())];
         let zeros = |name: &str, len: usize| gpu.zeros(&format!("hard_rasterize/{name}"), len);
-        if gpu.info().wide_atomics {
+        if wide {
             // Whole groups of four pixels.
             let best = zeros("best", 2 * max_pixels.next_multiple_of(4));
             return Self::Wide { pass: kernel!(gpu, "hard_rasterize/nearest", cull), best };

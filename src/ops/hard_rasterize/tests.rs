@@ -220,6 +220,28 @@ fn the_faces_alone_are_those_of_the_whole_image() {
     }
 }
 
+/// Devices without 64-bit atomics take two passes.
+#[test]
+fn two_passes_find_the_nearest_faces_of_the_reference() {
+    let Some(gpu) = gpu("hard_rasterize::two_passes_find_the_nearest_faces_of_the_reference") else { return };
+    let (view, faces) = bumpy_surface(24);
+    let camera = Camera::pinhole(64, 48, [60.0, 60.0, 31.0, 23.0]);
+    let corners = Arc::new(Corners::new(&gpu, &faces, &Topology::new(view.len() / 3, &faces)));
+    let op = HardRasterizer::with_passes(&gpu, &corners, camera.n_pixels(), CONFIG, false);
+    let view_buffer = gpu.upload("view", &f32s(&view));
+    let reference = cpu::forward(&CONFIG, &camera, &view, &faces);
+    // Twice: the second image must not see what the first one left.
+    for _ in 0..2 {
+        let mut recorder = gpu.recorder("hard_rasterize/test");
+        op.forward(&mut recorder, &camera, &view_buffer);
+        recorder.submit().unwrap();
+        let found = gpu.read(&op.pix_to_face).unwrap();
+        let other = found.iter().zip(&reference.pix_to_face).filter(|(a, b)| a != b).count();
+        // Pixels on an edge between two faces may fall to either.
+        assert!(found.iter().any(|&f| f >= 0) && other * 200 <= found.len(), "{other} of {} differ", found.len());
+    }
+}
+
 /// Lists and images are those of the last image, also where it ends within four pixels and an earlier one went on.
 #[test]
 fn a_smaller_image_shows_nothing_of_a_larger_one_before() {

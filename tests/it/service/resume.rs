@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use effigy::body::Body;
 use effigy::eval::{SynthOptions, synthesise};
-use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{Event, Timestamp};
 use effigy::npz::Npz;
 use rand::{RngExt, SeedableRng};
@@ -18,14 +17,7 @@ use super::*;
 
 /// A made clip of the test body, of so many frames and pixels; false where there is no device.
 pub fn make_clip(test: &str, folder: &Path, frames: usize, size_px: u32) -> bool {
-    let gpu = match Gpu::open(&DeviceSelect::Auto) {
-        Ok(gpu) => gpu,
-        Err(reason) => {
-            assert!(std::env::var_os("CI").is_none(), "CI requires a device: {reason}");
-            eprintln!("{test}: ignored, {reason}");
-            return false;
-        }
-    };
+    let Some(gpu) = crate::fit::gpu(test) else { return false };
     let options = SynthOptions { frames, size_px, truths: 1, seed: 3, ..SynthOptions::default() };
     synthesise(&gpu, &Body::test_body(), &options, folder, |_, _| {}).unwrap();
     true
