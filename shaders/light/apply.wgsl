@@ -1,11 +1,11 @@
-// shaded = values · (ambient + strength · lamp), or added to it; see src/ops/light/mod.rs.
+// shaded = values · (ambient + strength · lamp), added to it, or cut at one; see src/ops/light/mod.rs.
 #import shared/linear_index
 
 struct Params {
     ambient: vec3<f32>,
     n_max: u32,
     strength: vec3<f32>,
-    add: u32,
+    write: u32, // 0 over, 1 add, 2 over and cut
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -23,8 +23,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let at = 3u * i;
     let shade = params.ambient + params.strength * lamps[i];
     var result = vec3(values[at], values[at + 1u], values[at + 2u]) * shade;
-    if params.add != 0u {
+    if params.write == 1u {
         result += vec3(shaded[at], shaded[at + 1u], shaded[at + 2u]);
+    } else if params.write == 2u {
+        result = min(result, vec3(1.0));
     }
     shaded[at] = result.x;
     shaded[at + 1u] = result.y;

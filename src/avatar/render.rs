@@ -12,6 +12,7 @@ use super::trace::{MAX_SIDE_PX, Picture, Shading, SurfacePoint, Tracer};
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
+use crate::ops::light::shadow::visibility;
 use crate::ops::skinning::cpu::{Posed, forward};
 use crate::ops::texture_field::TextureFieldError;
 
@@ -190,13 +191,12 @@ impl Renderer {
         spec: &RenderSpec,
         mut albedo: impl FnMut(&[SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError>,
     ) -> Result<RgbaImage, RenderError> {
-        let mut normals = None;
+        let mut lit = None;
         let picture = self.draw(spec, |points, posed| {
             let mut colours = albedo(points)?;
             if spec.light == Light::Captured {
-                let faces = &self.model.body.faces;
-                let normals = normals.get_or_insert_with(|| vertex_normals(&posed.vertices, faces));
-                self.shade(normals, points, &mut colours);
+                let lit = lit.get_or_insert_with(|| LitBody::new(&self.model, &posed.vertices));
+                lit.shade(points, &mut colours);
             }
             Ok(colours)
         })?;
@@ -225,13 +225,36 @@ impl Renderer {
             .tracer
             .trace(&posed.vertices, &spec.camera, spec.samples, Shading::Surfaces, |points| colour(points, &posed))?)
     }
+}
 
-    /// Puts the captured light on albedos, by the smooth normals `[V]` of the posed body.
-    fn shade(&self, normals: &[[f32; 3]], points: &[SurfacePoint], colours: &mut [[f32; 3]]) {
+/// A posed body under the captured light.
+struct LitBody<'a> {
+    model: &'a AvatarModel,
+    /// `[V]`, unit
+    normals: Vec<[f32; 3]>,
+    /// `[V]`: the share of the lamp that each vertex sees
+    visible: Vec<f32>,
+}
+
+impl<'a> LitBody<'a> {
+    fn new(model: &'a AvatarModel, vertices: &[[f32; 3]]) -> Self {
+        let faces = &model.body.faces;
+        let normals = vertex_normals(vertices, faces);
+        let visible = if model.light.has_lamp() {
+            visibility(model.light.direction, vertices, faces)
+        } else {
+            vec![1.0; vertices.len()]
+        };
+        Self { model, normals, visible }
+    }
+
+    /// Puts the light on albedos.
+    fn shade(&self, points: &[SurfacePoint], colours: &mut [[f32; 3]]) {
         for (point, rgb) in points.iter().zip(colours) {
-            let corners = self.model.body.faces[point.face as usize].map(|v| normals[v as usize]);
-            let normal = std::array::from_fn(|k| (0..3).map(|c| point.bary[c] * corners[c][k]).sum());
-            let shade = self.model.light.shade(normal);
+            let corners = self.model.body.faces[point.face as usize].map(|v| v as usize);
+            let weighted = |of: &dyn Fn(usize) -> f32| (0..3).map(|c| point.bary[c] * of(corners[c])).sum();
+            let normal = std::array::from_fn(|k| weighted(&|v| self.normals[v][k]));
+            let shade = self.model.light.shade(normal, weighted(&|v| self.visible[v]));
             *rgb = std::array::from_fn(|k| (rgb[k] * shade[k]).min(1.0));
         }
     }

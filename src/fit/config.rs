@@ -141,6 +141,11 @@ impl FitConfig {
         (phase.epochs * self.min_steps_a_pass.div_ceil(steps).max(1), steps)
     }
 
+    /// From where on a channel of a picture counts as white, which a light may exceed.
+    pub fn white(&self) -> u8 {
+        if self.light { 250 } else { u8::MAX }
+    }
+
     /// The phases of all stages.
     pub fn phases(&self) -> impl Iterator<Item = &Phase> {
         self.geometry.phases.iter().chain(&self.texture.phases)

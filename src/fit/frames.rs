@@ -41,7 +41,7 @@ struct Packed {
 
 impl Packed {
     /// The crop grown to even corners, so that its half is aligned with the half image. New pixels are background.
-    fn of(frame: &Frame) -> Self {
+    fn of(frame: &Frame, white: u8) -> Self {
         let (x0, y0) = (frame.x0 & !1, frame.y0 & !1);
         let right = (frame.x0 + frame.width).next_multiple_of(2);
         let bottom = (frame.y0 + frame.height).next_multiple_of(2);
@@ -52,7 +52,8 @@ impl Packed {
                 let from = y * frame.width as usize + x;
                 let to = (y + (frame.y0 - y0) as usize) * width + x + (frame.x0 - x0) as usize;
                 let rgb = &frame.rgb[from * 3..][..3];
-                rgbm[to] = [rgb[0], rgb[1], rgb[2], frame.mask[from]];
+                let [r, g, b] = [rgb[0], rgb[1], rgb[2]].map(|c| if c >= white { 255 } else { c });
+                rgbm[to] = [r, g, b, frame.mask[from]];
             }
         }
         Self { x0: x0 as i64, y0: y0 as i64, width, height, rgbm }
@@ -103,12 +104,13 @@ impl Packed {
     }
 }
 
-/// Uploads a capture's frames with `n_levels` resolutions each.
-pub fn upload(gpu: &Gpu, capture: &Capture, camera: &Camera, n_levels: usize) -> Vec<DeviceFrame> {
+/// Uploads a capture's frames with `n_levels` resolutions each. Channels from `white` on become 255: what a camera has cut
+/// off, and compression has made a little darker again, is then met by everything brighter (see [`crate::ops::light`]).
+pub fn upload(gpu: &Gpu, capture: &Capture, camera: &Camera, n_levels: usize, white: u8) -> Vec<DeviceFrame> {
     let frames = capture.frames.iter();
     frames
         .map(|frame| {
-            let mut packed = Packed::of(frame);
+            let mut packed = Packed::of(frame, white);
             let mut levels = Vec::with_capacity(n_levels);
             let mut scale = 1.0;
             for level in 0..n_levels {
@@ -136,10 +138,10 @@ mod tests {
 
     #[test]
     fn an_odd_crop_grows_to_even_corners_with_background() {
-        let packed = Packed::of(&frame(3, 5, 4, 4));
+        let packed = Packed::of(&frame(3, 5, 4, 4), 200);
         assert_eq!((packed.x0, packed.y0, packed.width, packed.height), (2, 4, 6, 6));
         assert_eq!(packed.rgbm[0], [0; 4]);
-        assert_eq!(packed.rgbm[7], [0, 100, 200, 255]);
+        assert_eq!(packed.rgbm[7], [0, 100, 255, 255]);
     }
 
     #[test]

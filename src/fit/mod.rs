@@ -82,7 +82,7 @@ pub fn run(
     control: &mut dyn Control,
 ) -> Result<FitState, FitError> {
     let n_levels = config.phases().map(|p| p.level + 1).max().unwrap_or(1);
-    let frames = frames::upload(gpu, capture, camera, n_levels);
+    let frames = frames::upload(gpu, capture, camera, n_levels, config.white());
     let topology = &Topology::new(body.n_vertices(), &body.faces);
     let scene = Scene::new(gpu, body, topology, frames, camera, &state.transl);
     let inputs = Inputs { body, topology, capture, camera, config };
@@ -113,7 +113,7 @@ pub fn with_step<R>(
     with: impl FnOnce(&mut dyn FnMut() -> Result<(), FitError>) -> Result<R, FitError>,
 ) -> Result<R, FitError> {
     let camera = &capture.camera;
-    let levels = frames::upload(gpu, capture, camera, phase.level + 1);
+    let levels = frames::upload(gpu, capture, camera, phase.level + 1, config.white());
     let topology = &Topology::new(body.n_vertices(), &body.faces);
     let scene = Scene::new(gpu, body, topology, levels, camera, &state.transl);
     let inputs = Inputs { body, topology, capture, camera, config };
@@ -148,7 +148,8 @@ fn run_stage(
 fn solve_colours(scene: &Scene, inputs: &Inputs<'_>, state: &mut FitState) -> Result<(), FitError> {
     Shape::stand(scene, state)?;
     let (faces, poses) = (&inputs.body.faces, PoseGroups::new(&scene.gpu, inputs.config, state));
-    let mut lit = inputs.config.light.then(|| Lit::new(&scene.gpu, faces, inputs.topology, state.light));
+    let mut lit =
+        inputs.config.light.then(|| Lit::new(&scene.gpu, faces, inputs.topology, state.n_frames(), state.light));
     state.face_colours = solve_face_colours(scene, faces, lit.as_mut(), &poses, 0)?;
     state.light = lit.map_or(state.light, |lit| lit.light);
     Ok(())

@@ -51,12 +51,13 @@ pub fn refine_pose(
         poses: None,
         warnings: Vec::new(),
     };
-    let levels = frames::upload(gpu, &capture, camera, STEPS.len());
+    let levels = frames::upload(gpu, &capture, camera, STEPS.len(), config.white());
     let topology = &Topology::new(body.n_vertices(), &body.faces);
     let scene = Scene::new(gpu, body, topology, levels, camera, &state.transl);
     let inputs = Inputs { body, topology, capture: &capture, camera, config };
     // A phase is not started: that would solve the light anew from this very picture.
     let mut work = StageWork::new(&scene, &inputs, &state)?;
+    work.cast_shadows()?;
     let phases: &[Phase] = &config.texture.phases;
     let all: u32 = STEPS.iter().sum();
     let mut number = 0;

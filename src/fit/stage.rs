@@ -64,6 +64,11 @@ impl<'a> StageWork<'a> {
         })
     }
 
+    /// For steps without a phase's start, which would solve the light anew.
+    pub fn cast_shadows(&mut self) -> Result<(), FitError> {
+        self.look.cast_shadows(self.scene, &self.poses)
+    }
+
     /// One frame's images, losses and gradients.
     fn record_frame(&self, recorder: &mut Recorder<'_>, frame: &FrameStep<'_>) {
         let (scene, weights) = (self.scene, frame.weights);
@@ -71,7 +76,7 @@ impl<'a> StageWork<'a> {
         let coloured = weights.rgb != 0.0;
         scene.clear_frame_gradients(recorder);
         scene.forward(recorder, frame.level, self.poses.at(frame.frame));
-        self.look.start_frame(recorder, scene);
+        self.look.start_frame(recorder, scene, frame.frame);
         if coloured {
             self.look.hard(recorder, scene, frame, moves, &self.losses);
         }

@@ -8,6 +8,7 @@ use super::SynthOptions;
 use super::clothes::{Dress, Outfit, REGIONS, Region};
 use crate::avatar::SurfacePoint;
 use crate::body::{Body, KeypointSource};
+use crate::ops::light::shadow::visibility;
 
 /// The look of one made person.
 pub(super) struct Paint<'a> {
@@ -87,11 +88,21 @@ impl<'a> Paint<'a> {
         }
     }
 
-    /// sRGB of a surface point under the light; `normals` are the posed mesh's, world space.
-    pub fn colour(&self, point: &SurfacePoint, normals: &[[f32; 3]]) -> [f32; 3] {
-        let face = self.body.faces[point.face as usize];
-        let normal: Vec3 = (0..3).map(|k| Vec3::from(normals[face[k] as usize]) * point.bary[k]).sum();
-        let shade = 1.0 - self.side_light + self.side_light * normal.normalize_or_zero().dot(self.light).max(0.0) * 1.6;
+    /// The share of the side light that each vertex of the posed mesh sees.
+    pub fn visible(&self, vertices: &[[f32; 3]]) -> Vec<f32> {
+        if self.side_light == 0.0 {
+            return vec![1.0; vertices.len()];
+        }
+        visibility(self.light.to_array(), vertices, &self.body.faces)
+    }
+
+    /// sRGB of a surface point under the light; `normals` and `visible` are the posed mesh's, in the world.
+    pub fn colour(&self, point: &SurfacePoint, normals: &[[f32; 3]], visible: &[f32]) -> [f32; 3] {
+        let face = self.body.faces[point.face as usize].map(|v| v as usize);
+        let normal: Vec3 = (0..3).map(|k| Vec3::from(normals[face[k]]) * point.bary[k]).sum();
+        let seen: f32 = (0..3).map(|k| visible[face[k]] * point.bary[k]).sum();
+        let lamp = seen * normal.normalize_or_zero().dot(self.light).max(0.0);
+        let shade = 1.0 - self.side_light + self.side_light * lamp * 1.6;
         (self.albedo(point) * shade).clamp(Vec3::ZERO, Vec3::ONE).into()
     }
 

@@ -1,6 +1,6 @@
 //! One colour a face (paper §3.6, stage 1): too coarse to hide what the geometry has wrong.
 
-use super::{Lit, Look, solve_face_colours};
+use super::{Lit, Look, cast_shadows, solve_face_colours};
 use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::groups::Group;
@@ -44,7 +44,7 @@ impl FaceColours {
         let (gpu, n, config) = (&scene.gpu, scene.max_pixels, inputs.config);
         let faces = &inputs.body.faces;
         let lit = || LitFaces {
-            lit: Lit::new(gpu, faces, inputs.topology, state.light),
+            lit: Lit::new(gpu, faces, inputs.topology, scene.frames.len(), state.light),
             shaded: gpu.zeros("fit/shaded_colours", state.face_colours.len()),
             grad_shaded: gpu.zeros("fit/grad_shaded_colours", state.face_colours.len()),
         };
@@ -72,14 +72,21 @@ impl Look for FaceColours {
         Ok(())
     }
 
+    fn cast_shadows(&mut self, scene: &Scene, poses: &PoseGroups) -> Result<(), FitError> {
+        if let Some(LitFaces { lit, .. }) = &mut self.lit {
+            cast_shadows(scene, &self.faces, lit, poses)?;
+        }
+        Ok(())
+    }
+
     fn start_step(&self, recorder: &mut Recorder<'_>, _scene: &Scene) {
         self.colours.clear(recorder);
     }
 
-    fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene) {
+    fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: usize) {
         if let Some(LitFaces { lit, shaded, grad_shaded }) = &self.lit {
-            lit.start_frame(recorder, scene);
-            lit.faces(recorder, &self.colours.values, shaded, Write::Over);
+            lit.start_frame(recorder, scene, frame);
+            lit.faces(recorder, &self.colours.values, shaded, Write::Cut);
             recorder.clear(grad_shaded);
         }
     }

@@ -1,11 +1,13 @@
 //! The clip's light from face colours: since the light stands still and the person turns, a face is seen at many angles to
-//! the lamp, and what changes with the angle is light, what stays is albedo.
+//! the lamp and in and out of the body's own shadow; what changes with them is light, what stays is albedo.
 
+use super::shadows::PosedClip;
 use crate::ops::light::Light;
 
 /// A face in a frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation {
+    pub frame: u32,
     pub face: u32,
     /// Pixels that showed it
     pub weight: f32,
@@ -17,9 +19,14 @@ pub struct Observation {
 
 /// Observations that the search looks at, at most: enough for eight numbers, few enough for a second.
 const MAX_SEARCHED: usize = 40_000;
-/// Directions that are tried: round the person, and above the horizon.
+/// Directions that are tried without shadows: round the person, and above the horizon.
 const AZIMUTHS: usize = 24;
 const ELEVATIONS_DEG: [f64; 3] = [15.0, 35.0, 55.0];
+/// Directions that are tried with shadows: from the best azimuth without, and above the horizon.
+const ASIDE_DEG: [f64; 3] = [-12.0, 0.0, 12.0];
+const SHADOWED_ELEVATIONS_DEG: [f64; 4] = [20.0, 32.0, 44.0, 56.0];
+/// Frames whose shadows are cast for each direction that is tried.
+const SHADOWED_FRAMES: usize = 12;
 /// Rounds of alternation between albedo and light, in the search and for its winner.
 const SEARCH_ROUNDS: usize = 8;
 const FINAL_ROUNDS: usize = 25;
@@ -28,71 +35,141 @@ const FINAL_ROUNDS: usize = 25;
 const USUAL_ELEVATION_DEG: f64 = 45.0;
 /// The error without a lamp has to be larger than with one by this factor, else there is none to be told.
 const MIN_GAIN: f64 = 1.02;
-/// Residuals beyond this count linearly: shadows and wrong geometry are no light.
+/// Residuals beyond this count linearly: wrong geometry is no light.
 const ROBUST: f32 = 0.05;
 /// No part of a body is darker than this part of its mean look.
 const MIN_SHADE: f32 = 0.05;
+/// From here on a camera shows everything brighter alike. What is brighter than such a colour does not contradict it.
+const WHITE: f32 = 0.97;
 
-/// The light that explains the observations best; [`Light::EVEN`] where no lamp can be told from them. `up` is the world's
-/// direction against gravity as the camera has it. Shades are one in the mean of the observations.
-pub fn solve_light(observations: &[Observation], n_faces: usize, up: [f32; 3], forward: [f32; 3]) -> Light {
-    let every = observations.len().div_ceil(MAX_SEARCHED).max(1) as u32;
-    // Whole faces, so that each keeps its angles. Chosen by a hash: neighbours have neighbouring numbers.
-    let searched: Vec<Observation> = observations
-        .iter()
-        .filter(|o| o.face.wrapping_mul(0x9e37_79b9) >> 8 & 0xffff < 0x1_0000 / every)
-        .copied()
-        .collect();
-    let even = Problem::new(&searched, n_faces, Light::EVEN.direction).solve(0);
-    let mut best: Option<(f64, Solved)> = None;
-    for azimuth in 0..AZIMUTHS {
-        for elevation in ELEVATIONS_DEG {
-            let azimuth = std::f64::consts::TAU * azimuth as f64 / AZIMUTHS as f64;
-            let solved =
-                Problem::new(&searched, n_faces, direction(azimuth, elevation, up, forward)).solve(SEARCH_ROUNDS);
-            let unusual = (elevation - USUAL_ELEVATION_DEG).abs() / 30.0;
-            let cost = solved.error * (1.0 + 0.01 * unusual);
-            if best.as_ref().is_none_or(|(least, _)| cost < *least) {
-                best = Some((cost, solved));
-            }
-        }
+/// The world's directions as the clip has them.
+#[derive(Clone, Copy)]
+pub struct Sky {
+    up: glam::DVec3,
+    /// Level, towards the camera
+    back: glam::DVec3,
+    side: glam::DVec3,
+}
+
+impl Sky {
+    /// `up`: against gravity; `forward`: the camera's view.
+    pub fn new(up: [f32; 3], forward: [f32; 3]) -> Self {
+        let vector = |v: [f32; 3]| glam::DVec3::from(v.map(f64::from));
+        let up = vector(up).normalize();
+        let back = -vector(forward).reject_from(up).normalize();
+        Self { up, back, side: up.cross(back) }
     }
+
+    /// The unit vector `azimuth` (radians) round the vertical from straight towards the camera, above the horizon.
+    fn direction(&self, azimuth: f64, elevation_deg: f64) -> [f32; 3] {
+        let elevation = elevation_deg.to_radians();
+        let flat = self.back * azimuth.cos() + self.side * azimuth.sin();
+        (flat * elevation.cos() + self.up * elevation.sin()).to_array().map(|x| x as f32)
+    }
+
+    fn azimuth(&self, direction: [f32; 3]) -> f64 {
+        let direction = glam::DVec3::from(direction.map(f64::from));
+        direction.dot(self.side).atan2(direction.dot(self.back))
+    }
+}
+
+/// The light that explains the observations best, were there no shadows; [`Light::EVEN`] where no lamp can be told from them.
+/// Shades are one in the mean of the observations.
+pub fn solve_light(observations: &[Observation], n_faces: usize, sky: &Sky) -> Light {
+    let searched = searched(observations, |_| true);
+    let all_seen = |direction| Problem::new(&searched, n_faces, direction, |_| 1.0);
+    let even = all_seen(Light::EVEN.direction).solve(0);
+    let azimuths = (0..AZIMUTHS).map(|k| std::f64::consts::TAU * k as f64 / AZIMUTHS as f64);
+    let tried = azimuths.flat_map(|azimuth| ELEVATIONS_DEG.map(|elevation| (azimuth, elevation)));
+    let best = cheapest(tried.map(|(azimuth, elevation)| {
+        let solved = all_seen(sky.direction(azimuth, elevation)).solve(SEARCH_ROUNDS);
+        (solved.error * unusual(elevation), solved)
+    }));
     match best {
         Some((cost, solved)) if even.error > MIN_GAIN * cost => {
-            Problem::new(&searched, n_faces, solved.light.direction).solve(FINAL_ROUNDS).light
+            all_seen(solved.light.direction).solve(FINAL_ROUNDS).light
         }
         _ => Light::EVEN,
     }
 }
 
-/// Albedos `[F, 3]` under a light, in closed form, and the pixels that showed each face.
-pub fn albedos(observations: &[Observation], n_faces: usize, light: &Light) -> (Vec<f32>, Vec<f32>) {
-    let (mut top, mut bottom) = (vec![0.0f32; 3 * n_faces], vec![0.0f32; 3 * n_faces]);
-    let mut counts = vec![0.0f32; n_faces];
-    for o in observations {
-        let shade = light.shade(o.normal);
-        counts[o.face as usize] += o.weight;
-        for (k, (shade, colour)) in shade.into_iter().zip(o.colour).enumerate() {
-            let at = 3 * o.face as usize + k;
-            top[at] += o.weight * colour * shade;
-            bottom[at] += o.weight * shade * shade;
-        }
-    }
-    let colours = top.iter().zip(&bottom).map(|(t, b)| if *b > 0.0 { t / b } else { 0.0 }).collect();
-    (colours, counts)
+/// The light near `start` that explains the observations best with the shadows that the body casts on itself in each frame of
+/// `clip`, and what each vertex sees of it, `[N][V]`.
+pub fn solve_shadowed_light(
+    observations: &[Observation],
+    faces: &[[u32; 3]],
+    start: &Light,
+    sky: &Sky,
+    clip: &PosedClip<'_>,
+) -> (Light, Vec<Vec<f32>>) {
+    let n = clip.n_frames();
+    let some: Vec<usize> = (0..n).step_by(n.div_ceil(SHADOWED_FRAMES).max(1)).collect();
+    let in_some = searched(observations, |o| some.binary_search(&(o.frame as usize)).is_ok());
+    let around = sky.azimuth(start.direction);
+    let tried = ASIDE_DEG.into_iter().flat_map(|aside| SHADOWED_ELEVATIONS_DEG.map(|elevation| (aside, elevation)));
+    let best = cheapest(tried.map(|(aside, elevation)| {
+        let direction = sky.direction(around + aside.to_radians(), elevation);
+        let visible = clip.visibility(direction, &some);
+        let of = |o: &Observation| {
+            let frame = some.binary_search(&(o.frame as usize)).unwrap_or(0);
+            of_face(&visible[frame], faces[o.face as usize])
+        };
+        let solved = Problem::new(&in_some, faces.len(), direction, of).solve(SEARCH_ROUNDS);
+        (solved.error * unusual(elevation), solved)
+    }));
+    let direction = best.map_or(start.direction, |(_, solved)| solved.light.direction);
+    let all: Vec<usize> = (0..n).collect();
+    let visible = clip.visibility(direction, &all);
+    let searched = searched(observations, |_| true);
+    let of = |o: &Observation| of_face(&visible[o.frame as usize], faces[o.face as usize]);
+    (Problem::new(&searched, faces.len(), direction, of).solve(FINAL_ROUNDS).light, visible)
 }
 
-/// The unit vector `azimuth` round `up` from straight towards the camera, `elevation_deg` above the horizon.
-fn direction(azimuth: f64, elevation_deg: f64, up: [f32; 3], forward: [f32; 3]) -> [f32; 3] {
-    use glam::DVec3;
-    let vector = |v: [f32; 3]| DVec3::from(v.map(f64::from));
-    let up = vector(up).normalize();
-    let back = -vector(forward).reject_from(up).normalize();
-    let side = up.cross(back);
-    let elevation = elevation_deg.to_radians();
-    let flat = back * azimuth.cos() + side * azimuth.sin();
-    (flat * elevation.cos() + up * elevation.sin()).to_array().map(|x| x as f32)
+/// What a face sees of the lamp: the mean of its corners.
+pub fn of_face(visible: &[f32], face: [u32; 3]) -> f32 {
+    face.map(|v| visible[v as usize]).iter().sum::<f32>() / 3.0
 }
+
+/// Some of the observations that count, not too many.
+fn searched(observations: &[Observation], counts: impl Fn(&Observation) -> bool) -> Vec<Observation> {
+    let n = observations.iter().filter(|o| counts(o)).count();
+    let every = n.div_ceil(MAX_SEARCHED).max(1) as u32;
+    // Whole faces, so that each keeps its angles. Chosen by a hash: neighbours have neighbouring numbers.
+    let chosen = |o: &&Observation| o.face.wrapping_mul(0x9e37_79b9) >> 8 & 0xffff < 0x1_0000 / every;
+    observations.iter().filter(|o| counts(o)).filter(chosen).copied().collect()
+}
+
+fn cheapest(tried: impl Iterator<Item = (f64, Solved)>) -> Option<(f64, Solved)> {
+    tried.min_by(|a, b| a.0.total_cmp(&b.0))
+}
+
+/// What the error counts at an elevation.
+fn unusual(elevation_deg: f64) -> f64 {
+    1.0 + 0.01 * (elevation_deg - USUAL_ELEVATION_DEG).abs() / 30.0
+}
+
+/// Albedos `[F, 3]` under a light, in closed form, and the pixels that showed each face. `visible`: the share of the lamp that
+/// an observation's face saw.
+pub fn albedos(
+    observations: &[Observation],
+    n_faces: usize,
+    light: &Light,
+    visible: impl Fn(&Observation) -> f32,
+) -> (Vec<f32>, Vec<f32>) {
+    let mut counts = vec![0.0f32; n_faces];
+    observations.iter().for_each(|o| counts[o.face as usize] += o.weight);
+    let problem = Problem::new(observations, n_faces, light.direction, visible);
+    // White, as the solved lights are.
+    let pair = (light.ambient[0], light.strength[0]);
+    let mut albedo = problem.first_albedo(pair);
+    for _ in 0..ALBEDO_ROUNDS {
+        albedo = problem.albedo(pair, &albedo);
+    }
+    (albedo.into_flattened(), counts)
+}
+
+/// Rounds in which it settles what is brighter than white.
+const ALBEDO_ROUNDS: usize = 3;
 
 /// Albedo, ambient light and strength for one direction of the lamp.
 struct Problem<'a> {
@@ -109,10 +186,20 @@ struct Solved {
     error: f64,
 }
 
+/// Whether a channel of an observation says something about what would be `bright`.
+fn tells(colour: f32, bright: f32) -> bool {
+    colour < WHITE || bright < colour
+}
+
 impl<'a> Problem<'a> {
-    fn new(observations: &'a [Observation], n_faces: usize, direction: [f32; 3]) -> Self {
+    fn new(
+        observations: &'a [Observation],
+        n_faces: usize,
+        direction: [f32; 3],
+        visible: impl Fn(&Observation) -> f32,
+    ) -> Self {
         let unit = Light { ambient: [0.0; 3], strength: [1.0; 3], direction };
-        let lamp = observations.iter().map(|o| unit.shade(o.normal)[0]).collect();
+        let lamp = observations.iter().map(|o| unit.shade(o.normal, visible(o))[0]).collect();
         Self { observations, n_faces, direction, lamp }
     }
 
@@ -120,11 +207,12 @@ impl<'a> Problem<'a> {
     /// channel, it takes on the colours of what happens to face the lamp, and the dark side of grey trousers turns brown.
     fn solve(&self, rounds: usize) -> Solved {
         let mut pair = self.normalised(if rounds == 0 { (1.0, 0.0) } else { (0.7, 0.5) });
+        let mut albedo = self.first_albedo(pair);
         for _ in 0..rounds {
-            let albedo = self.albedo(pair);
             pair = self.normalised(self.light_of(&albedo, pair));
+            albedo = self.albedo(pair, &albedo);
         }
-        let error = self.error(&self.albedo(pair), pair);
+        let error = self.error(&albedo, pair);
         let light = Light { ambient: [pair.0; 3], strength: [pair.1; 3], direction: self.direction };
         Solved { light, error }
     }
@@ -133,16 +221,37 @@ impl<'a> Problem<'a> {
         (ambient + strength * self.lamp[i]).max(MIN_SHADE)
     }
 
-    /// `[F]`
-    fn albedo(&self, pair: (f32, f32)) -> Vec<[f32; 3]> {
-        let mut sums = vec![([0.0f32; 3], 0.0f32); self.n_faces];
+    /// `[F]`, from what is not white; where a face was never seen otherwise, from that.
+    fn first_albedo(&self, pair: (f32, f32)) -> Vec<[f32; 3]> {
+        let all = self.mean_albedo(pair, |_, _| true, &[]);
+        self.mean_albedo(pair, |colour, _| colour < WHITE, &all)
+    }
+
+    /// `[F]`, after `before`.
+    fn albedo(&self, pair: (f32, f32), before: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        self.mean_albedo(pair, tells, before)
+    }
+
+    /// Least squares over the channels of which `counts(colour, bright)` holds, `bright` by the albedos `before`, which stand
+    /// where none does.
+    fn mean_albedo(&self, pair: (f32, f32), counts: impl Fn(f32, f32) -> bool, before: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        let mut sums = vec![([0.0f32; 3], [0.0f32; 3]); self.n_faces];
+        let known = |face: usize| before.get(face).copied().unwrap_or_default();
         for (i, o) in self.observations.iter().enumerate() {
             let shade = self.shade(i, pair);
             let (top, bottom) = &mut sums[o.face as usize];
-            (0..3).for_each(|k| top[k] += o.weight * o.colour[k] * shade);
-            *bottom += o.weight * shade * shade;
+            for (k, albedo) in known(o.face as usize).into_iter().enumerate() {
+                if counts(o.colour[k], albedo * shade) {
+                    top[k] += o.weight * o.colour[k] * shade;
+                    bottom[k] += o.weight * shade * shade;
+                }
+            }
         }
-        sums.into_iter().map(|(top, bottom)| top.map(|t| if bottom > 0.0 { t / bottom } else { 0.0 })).collect()
+        let mean = |(face, (top, bottom)): (usize, ([f32; 3], [f32; 3]))| {
+            let before = known(face);
+            std::array::from_fn(|k| if bottom[k] > 0.0 { top[k] / bottom[k] } else { before[k] })
+        };
+        sums.into_iter().enumerate().map(mean).collect()
     }
 
     /// Reweighted least squares for ambient light and strength, neither below zero.
@@ -151,6 +260,9 @@ impl<'a> Problem<'a> {
         for (i, o) in self.observations.iter().enumerate() {
             let shade = self.shade(i, pair);
             for (albedo, colour) in albedo[o.face as usize].into_iter().zip(o.colour) {
+                if !tells(colour, albedo * shade) {
+                    continue;
+                }
                 let weight = f64::from(o.weight / ((albedo * shade - colour).abs() + ROBUST));
                 let (a, b, y) = (f64::from(albedo), f64::from(albedo * self.lamp[i]), f64::from(colour));
                 aa += weight * a * a;
@@ -189,7 +301,9 @@ impl<'a> Problem<'a> {
         for (i, o) in self.observations.iter().enumerate() {
             let shade = self.shade(i, pair);
             for (albedo, colour) in albedo[o.face as usize].into_iter().zip(o.colour) {
-                sum += f64::from(o.weight * (albedo * shade - colour).abs());
+                if tells(colour, albedo * shade) {
+                    sum += f64::from(o.weight * (albedo * shade - colour).abs());
+                }
             }
             weights += 3.0 * f64::from(o.weight);
         }
@@ -203,8 +317,9 @@ mod tests {
 
     use super::*;
 
-    const UP: [f32; 3] = [0.0, -1.0, 0.0];
-    const FORWARD: [f32; 3] = [0.0, 0.0, 1.0];
+    fn sky() -> Sky {
+        Sky::new([0.0, -1.0, 0.0], [0.0, 0.0, 1.0])
+    }
 
     /// Faces of a turning person of random colours, each seen while it looks at the camera.
     fn turning(light: &Light, turn_deg: f32) -> Vec<Observation> {
@@ -217,10 +332,10 @@ mod tests {
                 let angle = at + turn_deg.to_radians() * frame as f32 / 40.0;
                 let normal = [angle.sin() * tilt.cos(), tilt.sin(), -angle.cos() * tilt.cos()];
                 if normal[2] < -0.2 {
-                    let shade = light.shade(normal);
+                    let shade = light.shade(normal, 1.0);
                     let noise = 0.01 * (rng.random::<f32>() - 0.5);
-                    let colour = std::array::from_fn(|k| albedo[k] * shade[k] + noise);
-                    observations.push(Observation { face, weight: 4.0, colour, normal });
+                    let colour = std::array::from_fn(|k| (albedo[k] * shade[k] + noise).min(1.0));
+                    observations.push(Observation { frame, face, weight: 4.0, colour, normal });
                 }
             }
         }
@@ -233,9 +348,8 @@ mod tests {
 
     #[test]
     fn a_lamp_is_found_from_a_turn() {
-        let truth =
-            Light { ambient: [0.6; 3], strength: [0.7, 0.6, 0.5], direction: direction(0.7, 35.0, UP, FORWARD) };
-        let found = solve_light(&turning(&truth, 360.0), 400, UP, FORWARD);
+        let truth = Light { ambient: [0.6; 3], strength: [0.7, 0.6, 0.5], direction: sky().direction(0.7, 35.0) };
+        let found = solve_light(&turning(&truth, 360.0), 400, &sky());
         assert!(angle_deg(found.direction, truth.direction) < 15.0, "{found:?}");
         for k in 0..3 {
             let (ours, want) = (found.strength[k] / found.ambient[k], truth.strength[k] / truth.ambient[k]);
@@ -245,20 +359,22 @@ mod tests {
 
     #[test]
     fn even_light_and_a_person_who_does_not_turn_show_no_lamp() {
-        assert_eq!(solve_light(&turning(&Light::EVEN, 360.0), 400, UP, FORWARD), Light::EVEN);
-        let lamp = Light { ambient: [0.6; 3], strength: [0.7; 3], direction: direction(0.7, 35.0, UP, FORWARD) };
-        assert_eq!(solve_light(&turning(&lamp, 0.0), 400, UP, FORWARD), Light::EVEN);
-        assert_eq!(solve_light(&[], 400, UP, FORWARD), Light::EVEN);
+        assert_eq!(solve_light(&turning(&Light::EVEN, 360.0), 400, &sky()), Light::EVEN);
+        let lamp = Light { ambient: [0.6; 3], strength: [0.7; 3], direction: sky().direction(0.7, 35.0) };
+        assert_eq!(solve_light(&turning(&lamp, 0.0), 400, &sky()), Light::EVEN);
+        assert_eq!(solve_light(&[], 400, &sky()), Light::EVEN);
     }
 
     #[test]
     fn albedos_are_what_is_left_without_the_light() {
-        let light = Light { ambient: [0.6; 3], strength: [0.7; 3], direction: direction(0.7, 35.0, UP, FORWARD) };
+        let light = Light { ambient: [0.6; 3], strength: [0.7; 3], direction: sky().direction(0.7, 35.0) };
         let seen = turning(&light, 360.0);
-        let (with, counts) = albedos(&seen, 401, &light);
-        let (without, _) = albedos(&seen, 401, &Light::EVEN);
+        let (with, counts) = albedos(&seen, 401, &light, |_| 1.0);
+        let (without, _) = albedos(&seen, 401, &Light::EVEN, |_| 1.0);
         let error = |colours: &[f32]| -> f32 {
-            seen.iter().map(|o| (colours[3 * o.face as usize] * light.shade(o.normal)[0] - o.colour[0]).abs()).sum()
+            seen.iter()
+                .map(|o| (colours[3 * o.face as usize] * light.shade(o.normal, 1.0)[0] - o.colour[0]).abs())
+                .sum()
         };
         assert!(error(&with) < 0.1 * error(&without));
         assert_eq!((counts[400], with[1200]), (0.0, 0.0), "nobody saw the last face");

@@ -5,7 +5,7 @@ use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::Topology;
 use crate::ops::face_normals::FaceNormals;
 use crate::ops::interpolate::Interpolate;
-use crate::ops::light::{Light, ShadedRows, Shading, Write};
+use crate::ops::light::{Light, ShadedRows, Shading, VisibleAt, Write};
 
 /// A light and what it needs to know of the body. One frame at a time: the scene's last one.
 pub struct Lit {
@@ -18,19 +18,24 @@ pub struct Lit {
     face_lamps: Buffer<f32>,
     /// `[V, 3]`, unit, world space
     on_vertices: Buffer<f32>,
+    /// `[N, V]`: what each vertex sees of the lamp in each frame, as of the last call of [`Lit::set`]
+    visible: Buffer<f32>,
     /// `[1]`: F
     all_faces: Buffer<u32>,
     n_faces: usize,
 }
 
 impl Lit {
-    pub fn new(gpu: &Gpu, faces: &[[u32; 3]], topology: &Topology, light: Light) -> Self {
+    /// A light without shadows yet, for `n_frames`.
+    pub fn new(gpu: &Gpu, faces: &[[u32; 3]], topology: &Topology, n_frames: usize, light: Light) -> Self {
         let face_normals = FaceNormals::new(gpu, faces, topology);
+        let n_vertices = topology.corners.len();
         Self {
             light,
+            visible: gpu.upload("fit/lit/visible", &vec![1.0; n_frames * n_vertices]),
             on_faces: face_normals.normals(gpu, "fit/lit/face_normals"),
             face_lamps: gpu.zeros("fit/lit/face_lamps", faces.len()),
-            on_vertices: gpu.zeros("fit/lit/vertex_normals", 3 * topology.corners.len()),
+            on_vertices: gpu.zeros("fit/lit/vertex_normals", 3 * n_vertices),
             all_faces: gpu.upload("fit/lit/all_faces", &[faces.len() as u32]),
             shading: Shading::new(gpu, topology),
             face_normals,
@@ -38,11 +43,27 @@ impl Lit {
         }
     }
 
-    /// Records the normals of the scene's posed body, and the lamp's light on its faces.
-    pub fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene) {
+    /// Takes another light, and what each vertex sees of its lamp in each frame.
+    ///
+    /// # Panics
+    /// When the shadows are not those of all frames and vertices.
+    pub fn set(&mut self, gpu: &Gpu, light: Light, visible: &[Vec<f32>]) {
+        let visible = visible.concat();
+        assert_eq!(visible.len(), self.visible.len(), "shadows");
+        gpu.write(&self.visible, 0, &visible);
+        self.light = light;
+    }
+
+    /// Records the normals of the scene's body, posed as in `frame`, and the lamp's light on its faces.
+    pub fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: usize) {
         self.face_normals.forward(recorder, &scene.posed.vertices, &self.on_faces);
         self.shading.vertex_normals(recorder, &self.on_faces, &self.on_vertices);
-        self.shading.lamps(recorder, &self.light, &self.on_faces, &self.face_lamps);
+        let (normals, lamps) = (&self.on_faces, &self.face_lamps);
+        self.shading.face_lamps(recorder, &self.light, self.at(frame), &scene.corners.faces, normals, lamps);
+    }
+
+    fn at(&self, frame: usize) -> VisibleAt<'_> {
+        VisibleAt { visible: &self.visible, frame }
     }
 
     /// Records `shaded = values · shade`, `[F, 3]`.
@@ -51,22 +72,24 @@ impl Lit {
         self.shading.apply(recorder, &self.light, rows, &self.face_lamps, values, shaded, write);
     }
 
-    /// Records the lamp's light `[P]` on the listed pixels of the scene's hard image.
+    /// Records the lamp's light `[P]` on the listed pixels of the scene's hard image of `frame`.
     pub fn pixel_lamps(
         &self,
         recorder: &mut Recorder<'_>,
         scene: &Scene,
+        frame: usize,
         list: &Interpolate,
         n: usize,
         lamps: &Buffer<f32>,
     ) {
         let (hard, faces) = (&scene.hard, &scene.corners.faces);
         let (pix_to_face, bary) = (&hard.pix_to_face, &hard.bary_coords);
-        let normals = &self.on_vertices;
-        self.shading.pixel_lamps(recorder, &self.light, list, n, pix_to_face, bary, faces, normals, lamps);
+        let (at, normals) = (self.at(frame), &self.on_vertices);
+        self.shading.pixel_lamps(recorder, &self.light, at, list, n, pix_to_face, bary, faces, normals, lamps);
     }
 
     /// Records `shaded = values · shade` of the listed pixels, `[P, 3]`.
+    #[expect(clippy::too_many_arguments, reason = "the operands of the contract")]
     pub fn pixels(
         &self,
         recorder: &mut Recorder<'_>,
@@ -75,9 +98,10 @@ impl Lit {
         lamps: &Buffer<f32>,
         values: &Buffer<f32>,
         shaded: &Buffer<f32>,
+        write: Write,
     ) {
         let rows = ShadedRows::Listed(list, n);
-        self.shading.apply(recorder, &self.light, rows, lamps, values, shaded, Write::Over);
+        self.shading.apply(recorder, &self.light, rows, lamps, values, shaded, write);
     }
 
     /// Unit normals `[F]` of the scene's posed body, world space. Waits.

@@ -3,14 +3,15 @@
 //! gradient.
 
 use super::Lit;
-use super::lamp::{Observation, albedos, solve_light};
+use super::lamp::{Observation, Sky, albedos, of_face, solve_light, solve_shadowed_light};
+use super::shadows::PosedClip;
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
 use crate::gpu::{Buffer, GpuError};
 use crate::ops::light::Light;
 
 /// Colours `[F, 3]` over all frames at `level`, for the scene's shape, and with `lit` the light, which is told from the
-/// colours and put into `lit`. A face that no pixel showed takes the mean of its neighbours, from the seen ones outwards.
+/// colours and put into `lit` with its shadows. A face that no pixel showed takes the mean of its neighbours, from the seen ones outwards.
 pub fn solve_face_colours(
     scene: &Scene,
     faces: &[[u32; 3]],
@@ -18,27 +19,35 @@ pub fn solve_face_colours(
     poses: &PoseGroups,
     level: usize,
 ) -> Result<Vec<f32>, GpuError> {
-    let observations = observe(scene, faces.len(), lit.as_deref(), poses, level)?;
-    let mut light = Light::EVEN;
+    let mut clip = PosedClip::new(faces);
+    let observations = observe(scene, faces.len(), lit.as_deref(), poses, level, &mut clip)?;
+    let (mut light, mut visible) = (Light::EVEN, Vec::new());
     if let Some(lit) = lit {
         // One camera takes the whole clip; its y points down and its z forward.
         let [_, _, _, ux, uy, uz, fx, fy, fz] = scene.frames[0].levels[level].camera.rotation.map(|x| x as f32);
-        lit.light = solve_light(&observations, faces.len(), [-ux, -uy, -uz], [fx, fy, fz]);
-        light = lit.light;
+        let sky = Sky::new([-ux, -uy, -uz], [fx, fy, fz]);
+        light = solve_light(&observations, faces.len(), &sky);
+        if light.has_lamp() {
+            (light, visible) = solve_shadowed_light(&observations, faces, &light, &sky, &clip);
+            lit.set(&scene.gpu, light, &visible);
+        }
+        lit.light = light;
     }
-    let (mut colours, counts) = albedos(&observations, faces.len(), &light);
+    let seen = |o: &Observation| visible.get(o.frame as usize).map_or(1.0, |v| of_face(v, faces[o.face as usize]));
+    let (mut colours, counts) = albedos(&observations, faces.len(), &light, seen);
     colours.iter_mut().for_each(|c| *c = c.min(1.0));
     fill_unseen(faces, &mut colours, &counts);
     Ok(colours)
 }
 
-/// What each frame shows of each face. Without `lit` the normals are zero.
+/// What each frame shows of each face. With `lit` each frame's body goes to `clip`; without it the normals are zero.
 fn observe(
     scene: &Scene,
     n_faces: usize,
     lit: Option<&Lit>,
     poses: &PoseGroups,
     level: usize,
+    clip: &mut PosedClip<'_>,
 ) -> Result<Vec<Observation>, GpuError> {
     let gpu = &scene.gpu;
     let (sums, counts) =
@@ -59,16 +68,20 @@ fn observe(
         totals.into_iter().for_each(|buffer| recorder.clear(buffer));
         scene.forward(&mut recorder, level, poses.at(frame));
         if let Some(lit) = lit {
-            lit.start_frame(&mut recorder, scene);
+            lit.start_frame(&mut recorder, scene, frame);
         }
         scene.hard.shade_backward(&mut recorder, &level.camera, &scene.view, &colour, &sums);
         scene.hard.shade_backward(&mut recorder, &level.camera, &scene.view, &seen, &counts);
         recorder.submit()?;
         let (sums, counts) = (gpu.read(&sums)?, gpu.read(&counts)?);
         let normals = lit.map(|lit| lit.read_face_normals(gpu)).transpose()?;
+        if lit.is_some() {
+            clip.push_posed(scene)?;
+        }
         for face in (0..n_faces).filter(|face| counts[3 * face] > 0.0) {
             let weight = counts[3 * face];
             observations.push(Observation {
+                frame: frame as u32,
                 face: face as u32,
                 weight,
                 colour: std::array::from_fn(|k| sums[3 * face + k] / weight),

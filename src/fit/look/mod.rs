@@ -5,11 +5,13 @@ mod lamp;
 mod lit;
 mod mean_colours;
 mod model;
+mod shadows;
 mod texture;
 
 pub use faces::FaceColours;
 pub use lit::Lit;
 pub use mean_colours::solve_face_colours;
+pub use shadows::cast_shadows;
 pub use texture::Texture;
 
 use super::FitError;
@@ -28,11 +30,14 @@ pub(super) trait Look {
     /// Before a phase, with the geometry as it is then.
     fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError>;
 
+    /// Casts the shadows anew, of the light as it is, for poses and geometry as they are. A phase's start does that, too.
+    fn cast_shadows(&mut self, scene: &Scene, poses: &PoseGroups) -> Result<(), FitError>;
+
     /// Records what comes before the frames of a step: gradients are cleared.
     fn start_step(&self, recorder: &mut Recorder<'_>, scene: &Scene);
 
     /// Records what comes before the images of a frame, with the body in its pose.
-    fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene);
+    fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: usize);
 
     /// Records the L1 loss of the scene's last hard image and its gradients: of the colours, and where `moves` of the
     /// mesh through what the faces show (added to the scene's `grad_view`).

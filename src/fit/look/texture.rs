@@ -3,7 +3,7 @@
 //! a gradient (the paper's `sg(φ)`).
 
 use super::model::TextureModel;
-use super::{Lit, Look, solve_face_colours};
+use super::{Lit, Look, cast_shadows, solve_face_colours};
 use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::frames::{DeviceFrame, FrameLevel};
@@ -110,7 +110,7 @@ impl Texture {
         let trusted = scene.frames.iter().map(levels);
         let zeros = |name: &str| gpu.zeros::<f32>(&format!("fit/{name}"), n * 3);
         let lit = || LitTexture {
-            lit: Lit::new(gpu, faces, inputs.topology, state.light),
+            lit: Lit::new(gpu, faces, inputs.topology, scene.frames.len(), state.light),
             shaded_faces: gpu.zeros("fit/shaded_faces", n_faces * 3),
             lamps: gpu.zeros("fit/pixel_lamps", n),
             shaded: zeros("shaded"),
@@ -157,6 +157,13 @@ impl Look for Texture {
         Ok(())
     }
 
+    fn cast_shadows(&mut self, scene: &Scene, poses: &PoseGroups) -> Result<(), FitError> {
+        if let Some(LitTexture { lit, .. }) = &mut self.lit {
+            cast_shadows(scene, &self.faces, lit, poses)?;
+        }
+        Ok(())
+    }
+
     fn start_step(&self, recorder: &mut Recorder<'_>, scene: &Scene) {
         self.model.clear(recorder);
         if self.learned {
@@ -170,10 +177,10 @@ impl Look for Texture {
         }
     }
 
-    fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene) {
+    fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: usize) {
         if let Some(LitTexture { lit, shaded_faces, .. }) = &self.lit {
-            lit.start_frame(recorder, scene);
-            lit.faces(recorder, &self.face_colours, shaded_faces, Write::Over);
+            lit.start_frame(recorder, scene, frame);
+            lit.faces(recorder, &self.face_colours, shaded_faces, Write::Cut);
         }
     }
 
@@ -188,8 +195,8 @@ impl Look for Texture {
         model.forward(recorder, &interpolate.coords, &interpolate.count, n_max);
         let shown = match &self.lit {
             Some(LitTexture { lit, lamps, shaded, .. }) => {
-                lit.pixel_lamps(recorder, scene, interpolate, n, lamps);
-                lit.pixels(recorder, interpolate, n, lamps, model.rgb(), shaded);
+                lit.pixel_lamps(recorder, scene, frame.frame, interpolate, n, lamps);
+                lit.pixels(recorder, interpolate, n, lamps, model.rgb(), shaded, Write::Cut);
                 shaded
             }
             None => model.rgb(),
@@ -203,7 +210,7 @@ impl Look for Texture {
         match &self.lit {
             Some(LitTexture { lit, lamps, grad_shaded, .. }) => {
                 interpolate.gather(recorder, n, grad_image, grad_shaded);
-                lit.pixels(recorder, interpolate, n, lamps, grad_shaded, grad_rgb);
+                lit.pixels(recorder, interpolate, n, lamps, grad_shaded, grad_rgb, Write::Over);
             }
             None => interpolate.gather(recorder, n, grad_image, grad_rgb),
         }

@@ -3,7 +3,7 @@
 use super::{Light, WRAP};
 use crate::ops::Real;
 
-/// The lamp's part of `shade(n)`, for a normal of any length.
+/// The lamp's part of `shade(n)` where all of it is visible, for a normal of any length.
 pub fn lamp<T: Real>(light: &Light, n: [T; 3]) -> T {
     let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
     let cosine = if length > T::zero() {
@@ -17,16 +17,16 @@ pub fn lamp<T: Real>(light: &Light, n: [T; 3]) -> T {
 }
 
 /// `shade(n)`, for a normal of any length.
-pub fn shade<T: Real>(light: &Light, n: [T; 3]) -> [T; 3] {
-    let lamp = lamp(light, n);
+pub fn shade<T: Real>(light: &Light, n: [T; 3], visible: T) -> [T; 3] {
+    let lamp = visible * lamp(light, n);
     std::array::from_fn(|k| T::of(light.ambient[k].into()) + T::of(light.strength[k].into()) * lamp)
 }
 
-/// `values · shade(normals)`, `[P, 3]` both.
-pub fn apply<T: Real>(light: &Light, normals: &[T], values: &[T]) -> Vec<T> {
-    let rows = normals.as_chunks::<3>().0.iter().zip(values.as_chunks::<3>().0);
-    rows.flat_map(|(&n, value)| {
-        let shade = shade(light, n);
+/// `values · shade(normals)`, `[P, 3]` both, `visible [P]`.
+pub fn apply<T: Real>(light: &Light, normals: &[T], visible: &[T], values: &[T]) -> Vec<T> {
+    let rows = normals.as_chunks::<3>().0.iter().zip(visible).zip(values.as_chunks::<3>().0);
+    rows.flat_map(|((&n, &visible), value)| {
+        let shade = shade(light, n, visible);
         [0, 1, 2].map(|k| value[k] * shade[k])
     })
     .collect()

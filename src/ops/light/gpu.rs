@@ -13,7 +13,7 @@ struct ApplyParams {
     ambient: [f32; 3],
     n_max: u32,
     strength: [f32; 3],
-    add: u32,
+    write: u32,
 }
 
 #[repr(C)]
@@ -22,18 +22,27 @@ struct LampParams {
     direction: [f32; 3],
     wrap: f32,
     n: u32,
-    unused: [u32; 3],
+    first_visible: u32,
+    unused: [u32; 2],
 }
 
-fn lamp_params(light: &Light, n: usize) -> LampParams {
-    LampParams { direction: light.direction, wrap: WRAP, n: n as u32, unused: [0; 3] }
+/// The visibility `[N, V]` of the vertices, and the frame that is shaded.
+#[derive(Clone, Copy)]
+pub struct VisibleAt<'a> {
+    pub visible: &'a Buffer<f32>,
+    pub frame: usize,
 }
 
-/// Whether a result replaces what is there.
+/// What becomes of a product. The numbers are those of `shaders/light/apply.wgsl`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
 pub enum Write {
-    Over,
-    Add,
+    /// It replaces what is there.
+    Over = 0,
+    /// It is added to what is there.
+    Add = 1,
+    /// It replaces what is there and is at most one: a picture shows nothing brighter than white.
+    Cut = 2,
 }
 
 /// The rows that a product is taken of.
@@ -48,7 +57,7 @@ pub enum ShadedRows<'a> {
 /// The kernels with the topology of one mesh.
 pub struct Shading {
     apply: Arc<Kernel>,
-    lamps: Arc<Kernel>,
+    face_lamps: Arc<Kernel>,
     vertex_normals: Arc<Kernel>,
     pixel_lamps: Arc<Kernel>,
     corner_starts: Buffer<u32>,
@@ -59,7 +68,7 @@ impl Shading {
     pub fn new(gpu: &Gpu, topology: &Topology) -> Self {
         Self {
             apply: kernel!(gpu, "light/apply"),
-            lamps: kernel!(gpu, "light/lamps"),
+            face_lamps: kernel!(gpu, "light/face_lamps"),
             vertex_normals: kernel!(gpu, "light/vertex_normals"),
             pixel_lamps: kernel!(gpu, "light/pixel_lamps"),
             corner_starts: gpu.upload("light/corner_starts", &topology.corners.starts),
@@ -90,8 +99,8 @@ impl Shading {
         for buffer in [values, shaded] {
             assert!(buffer.len() >= 3 * n_max, "{}: {} values for {n_max} rows", buffer.label(), buffer.len());
         }
-        let add = (write == Write::Add).into();
-        let params = ApplyParams { ambient: light.ambient, n_max: n_max as u32, strength: light.strength, add };
+        let (ambient, strength) = (light.ambient, light.strength);
+        let params = ApplyParams { ambient, n_max: n_max as u32, strength, write: write as u32 };
         match rows {
             ShadedRows::Counted(count, _) => {
                 let buffers: [&dyn AnyBuffer; 4] = [count, lamps, values, shaded];
@@ -103,14 +112,31 @@ impl Shading {
         }
     }
 
-    /// Records `normals [R, 3]` to `lamps [R]`.
+    /// Records the lamp's part of the shade of `faces [F, 3]` by their `normals [F, 3]`, `lamps [F]`.
     ///
     /// # Panics
     /// When a length is wrong.
-    pub fn lamps(&self, recorder: &mut Recorder<'_>, light: &Light, normals: &Buffer<f32>, lamps: &Buffer<f32>) {
+    pub fn face_lamps(
+        &self,
+        recorder: &mut Recorder<'_>,
+        light: &Light,
+        at: VisibleAt<'_>,
+        faces: &Buffer<u32>,
+        normals: &Buffer<f32>,
+        lamps: &Buffer<f32>,
+    ) {
         let n = lamps.len();
         assert_eq!(normals.len(), 3 * n, "{}: length", normals.label());
-        recorder.dispatch(&self.lamps, &lamp_params(light, n), &[normals, lamps], linear_groups(n, 64));
+        assert_eq!(faces.len(), 3 * n, "{}: length", faces.label());
+        let buffers: [&dyn AnyBuffer; 4] = [faces, normals, at.visible, lamps];
+        recorder.dispatch(&self.face_lamps, &self.lamp_params(light, at, n), &buffers, linear_groups(n, 64));
+    }
+
+    fn lamp_params(&self, light: &Light, at: VisibleAt<'_>, n: usize) -> LampParams {
+        let first = at.frame * (self.corner_starts.len() - 1);
+        assert!(at.visible.len() >= first + self.corner_starts.len() - 1, "{}: length", at.visible.label());
+        let (n, first_visible) = (n as u32, first as u32);
+        LampParams { direction: light.direction, wrap: WRAP, n, first_visible, unused: [0; 2] }
     }
 
     /// Records `face_normals [F, 3]` to `vertex_normals [V, 3]`.
@@ -139,6 +165,7 @@ impl Shading {
         &self,
         recorder: &mut Recorder<'_>,
         light: &Light,
+        at: VisibleAt<'_>,
         list: &Interpolate,
         n_pixels: usize,
         pix_to_face: &Buffer<i32>,
@@ -149,8 +176,8 @@ impl Shading {
     ) {
         let n_max = list.n_max(n_pixels);
         assert!(lamps.len() >= n_max, "{}: length", lamps.label());
-        let buffers: [&dyn AnyBuffer; 7] =
-            [&list.count, &list.pixel_index, pix_to_face, bary_coords, faces, vertex_normals, lamps];
-        list.over_list(recorder, &self.pixel_lamps, &lamp_params(light, n_max), &buffers);
+        let buffers: [&dyn AnyBuffer; 8] =
+            [&list.count, &list.pixel_index, pix_to_face, bary_coords, faces, vertex_normals, at.visible, lamps];
+        list.over_list(recorder, &self.pixel_lamps, &self.lamp_params(light, at, n_max), &buffers);
     }
 }

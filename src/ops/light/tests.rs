@@ -1,4 +1,4 @@
-use super::{Light, ShadedRows, Shading, Write, cpu};
+use super::{Light, ShadedRows, Shading, VisibleAt, Write, cpu};
 use crate::ops::Topology;
 use crate::ops::interpolate::{Interpolate, Sampling};
 use crate::ops::testing::{assert_close, assert_gradient, gpu};
@@ -15,18 +15,19 @@ fn numbers(n: usize) -> Vec<f64> {
 #[test]
 fn the_lamp_reaches_round_the_body_and_no_further() {
     let [x, y, z] = LIGHT.direction.map(f64::from);
-    let full = cpu::shade(&LIGHT, [x, y, z]);
-    let away = cpu::shade(&LIGHT, [-x, -y, -z]);
+    let full = cpu::shade(&LIGHT, [x, y, z], 1.0);
+    let away = cpu::shade(&LIGHT, [-x, -y, -z], 1.0);
     // Across the terminator: a normal at right angles to the lamp.
-    let across = cpu::shade(&LIGHT, [-y, x, 0.0]);
+    let across = cpu::shade(&LIGHT, [-y, x, 0.0], 1.0);
     for k in 0..3 {
         assert!((full[k] - f64::from(LIGHT.ambient[k] + LIGHT.strength[k])).abs() < 1e-6);
         assert!((away[k] - f64::from(LIGHT.ambient[k])).abs() < 1e-6);
-        let want = f64::from(LIGHT.ambient[k]) + f64::from(LIGHT.strength[k]) * 0.3 / 1.3;
+        let want = f64::from(LIGHT.ambient[k]) + f64::from(LIGHT.strength[k]) * 0.6 / 1.6;
         assert!((across[k] - want).abs() < 1e-6);
     }
-    assert_eq!(cpu::shade(&LIGHT, [0.0f64; 3]), LIGHT.ambient.map(f64::from), "no normal, no lamp");
-    assert_eq!(Light::EVEN.shade([0.3, 0.4, -0.5]), [1.0; 3]);
+    assert_eq!(cpu::shade(&LIGHT, [0.0f64; 3], 1.0), LIGHT.ambient.map(f64::from), "no normal, no lamp");
+    assert_eq!(cpu::shade(&LIGHT, [x, y, z], 0.0), LIGHT.ambient.map(f64::from), "in a shadow");
+    assert_eq!(Light::EVEN.shade([0.3, 0.4, -0.5], 0.7), [1.0; 3]);
 }
 
 #[test]
@@ -39,32 +40,38 @@ fn a_light_is_checked() {
 #[test]
 fn the_product_is_its_own_backward_pass() {
     let (normals, upstream) = (numbers(12), numbers(12).into_iter().rev().collect::<Vec<_>>());
-    let loss =
-        |values: &[f64]| cpu::apply(&LIGHT, &normals, values).iter().zip(&upstream).map(|(a, b)| a * b).sum::<f64>();
-    assert_gradient("values", &numbers(12), &cpu::apply(&LIGHT, &normals, &upstream), loss);
+    let visible = [1.0, 0.0, 0.5, 0.25];
+    let apply = |values: &[f64]| cpu::apply(&LIGHT, &normals, &visible, values);
+    let loss = |values: &[f64]| apply(values).iter().zip(&upstream).map(|(a, b)| a * b).sum::<f64>();
+    assert_gradient("values", &numbers(12), &apply(&upstream), loss);
 }
 
 #[test]
 fn gpu_matches_the_twin() {
     let Some(gpu) = gpu("light::gpu_matches_the_twin") else { return };
-    let (normals, values): (Vec<f32>, Vec<f32>) =
-        (0..300).map(|k| (((k * 37) % 19) as f32 - 9.0, (k % 11) as f32 * 0.1)).unzip();
+    let values: Vec<f32> = (0..300).map(|k| (k % 11) as f32 * 0.1).collect();
+    let lamps: Vec<f32> = (0..100).map(|k| (k % 7) as f32 / 6.0).collect();
     let shading = Shading::new(&gpu, &Topology::new(4, &FACES));
-    let [n, v] = [&normals, &values].map(|x| gpu.upload("x", x));
-    let (over, add) = (gpu.upload("over", &[9.0f32; 300]), gpu.upload("add", &[1.0f32; 300]));
-    let (count, lamps) = (gpu.upload("count", &[90u32]), gpu.zeros::<f32>("lamps", 100));
+    let [l, v] = [&lamps, &values].map(|x| gpu.upload("x", x));
+    let [over, add, cut] = [9.0f32, 1.0, 9.0].map(|x| gpu.upload("shaded", &[x; 300]));
+    let count = gpu.upload("count", &[90u32]);
     let rows = ShadedRows::Counted(&count, 100);
     let mut recorder = gpu.recorder("light/test");
-    shading.lamps(&mut recorder, &LIGHT, &n, &lamps);
-    shading.apply(&mut recorder, &LIGHT, rows, &lamps, &v, &over, Write::Over);
-    shading.apply(&mut recorder, &LIGHT, rows, &lamps, &v, &add, Write::Add);
+    for (shaded, write) in [(&over, Write::Over), (&add, Write::Add), (&cut, Write::Cut)] {
+        shading.apply(&mut recorder, &LIGHT, rows, &l, &v, shaded, write);
+    }
     recorder.submit().unwrap();
-    let want = cpu::apply(&LIGHT, &normals[..270], &values[..270]);
+    // Straight at the lamp: what is visible of it is its part of the shade.
+    let normals: Vec<f32> = std::iter::repeat_n(LIGHT.direction, 90).flatten().collect();
+    let want = cpu::apply(&LIGHT, &normals, &lamps[..90], &values[..270]);
     let over = gpu.read(&over).unwrap();
     assert_close("over", &over[..270], &want, 1e-6);
     assert_eq!(over[270..], [9.0; 30], "rows behind the count stay");
     let added: Vec<f32> = want.iter().map(|x| x + 1.0).collect();
     assert_close("add", &gpu.read(&add).unwrap()[..270], &added, 1e-6);
+    let cut_off: Vec<f32> = want.iter().map(|x| x.min(1.0)).collect();
+    assert!(cut_off != want, "nothing was brighter than white");
+    assert_close("cut", &gpu.read(&cut).unwrap()[..270], &cut_off, 1e-6);
 }
 
 #[test]
@@ -80,12 +87,18 @@ fn light_on_vertices_and_pixels_matches_the_twin() {
     let faces = gpu.upload("faces", FACES.as_flattened());
     let list = Interpolate::new(&gpu, 4, 4);
     let (texcoords, lamps) = (gpu.zeros::<f32>("texcoords", 12), gpu.zeros::<f32>("lamps", 4));
+    let face_lamps = gpu.zeros::<f32>("face_lamps", 2);
+    // The second of two frames.
+    let visible = [9.0f32, 9.0, 9.0, 9.0, 9.0, 1.0, 0.5, 0.25, 0.0, 9.0];
+    let visible_buffer = gpu.upload("visible", &visible);
+    let at = VisibleAt { visible: &visible_buffer, frame: 1 };
     let values: Vec<f32> = (1..=12).map(|k| k as f32 * 0.1).collect();
     let (values, shaded) = (gpu.upload("values", &values), gpu.upload("shaded", &[9.0f32; 12]));
     let mut recorder = gpu.recorder("light/test");
     shading.vertex_normals(&mut recorder, &on_faces, &on_vertices);
     list.forward(&mut recorder, 4, &pix_to_face, &bary_coords, &faces, &texcoords, Sampling::ALL);
-    shading.pixel_lamps(&mut recorder, &LIGHT, &list, 4, &pix_to_face, &bary_coords, &faces, &on_vertices, &lamps);
+    shading.face_lamps(&mut recorder, &LIGHT, at, &faces, &on_faces, &face_lamps);
+    shading.pixel_lamps(&mut recorder, &LIGHT, at, &list, 4, &pix_to_face, &bary_coords, &faces, &on_vertices, &lamps);
     shading.apply(&mut recorder, &LIGHT, ShadedRows::Listed(&list, 4), &lamps, &values, &shaded, Write::Over);
     recorder.submit().unwrap();
     let want = cpu::vertex_normals(&FACES, &face_normals, 5);
@@ -93,9 +106,15 @@ fn light_on_vertices_and_pixels_matches_the_twin() {
     let unit = |v: usize| [want[3 * v], want[3 * v + 1], want[3 * v + 2]];
     let second: [f32; 3] = std::array::from_fn(|k| 0.2 * unit(2)[k] + 0.3 * unit(1)[k] + 0.5 * unit(3)[k]);
     let lamps = gpu.read(&lamps).unwrap();
-    assert_close("lamps", &lamps[..2], &[cpu::lamp(&LIGHT, second), cpu::lamp(&LIGHT, unit(0))], 1e-6);
-    let products = cpu::apply(&LIGHT, &[second, unit(0)].concat(), &[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
+    let seen = [0.2 * 0.25 + 0.3 * 0.5 + 0.5 * 0.0, 1.0];
+    let want_lamps = [seen[0] * cpu::lamp(&LIGHT, second), cpu::lamp(&LIGHT, unit(0))];
+    assert_close("lamps", &lamps[..2], &want_lamps, 1e-6);
+    let products = cpu::apply(&LIGHT, &[second, unit(0)].concat(), &seen, &[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
     let shaded = gpu.read(&shaded).unwrap();
     assert_close("shaded", &shaded[..6], &products, 1e-6);
     assert_eq!(shaded[6..], [9.0; 6], "rows behind the list stay");
+    let of_face = |f: usize, seen: f32| {
+        seen / 3.0 * cpu::lamp(&LIGHT, [face_normals[3 * f], face_normals[3 * f + 1], face_normals[3 * f + 2]])
+    };
+    assert_close("face_lamps", &gpu.read(&face_lamps).unwrap(), &[of_face(0, 1.75), of_face(1, 0.75)], 1e-6);
 }

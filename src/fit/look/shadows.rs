@@ -1,0 +1,66 @@
+//! What the lamp does not reach: the shadows that the fitted body casts on itself in each frame.
+
+use crate::fit::poses::PoseGroups;
+use crate::fit::scene::Scene;
+use crate::gpu::GpuError;
+use crate::ops::light::shadow::visibility;
+
+use super::Lit;
+
+/// The body as posed in each frame, world space.
+pub struct PosedClip<'a> {
+    faces: &'a [[u32; 3]],
+    /// `[N][V]`
+    vertices: Vec<Vec<[f32; 3]>>,
+}
+
+impl<'a> PosedClip<'a> {
+    pub fn new(faces: &'a [[u32; 3]]) -> Self {
+        Self { faces, vertices: Vec::new() }
+    }
+
+    /// Adds the scene's body as it is posed now, the clip's next frame. Waits.
+    pub fn push_posed(&mut self, scene: &Scene) -> Result<(), GpuError> {
+        self.vertices.push(scene.gpu.read(&scene.posed.vertices)?.as_chunks().0.to_vec());
+        Ok(())
+    }
+
+    pub fn n_frames(&self) -> usize {
+        self.vertices.len()
+    }
+
+    /// What each vertex sees of a lamp in `direction`, `[frame][V]`, in the order of `frames`.
+    pub fn visibility(&self, direction: [f32; 3], frames: &[usize]) -> Vec<Vec<f32>> {
+        let of = |frame: usize| visibility(direction, &self.vertices[frame], self.faces);
+        let n_threads = std::thread::available_parallelism().map_or(1, usize::from);
+        std::thread::scope(|scope| {
+            let chunks = frames.chunks(frames.len().div_ceil(n_threads).max(1));
+            let threads: Vec<_> = chunks
+                .map(|chunk| scope.spawn(move || chunk.iter().map(|&frame| of(frame)).collect::<Vec<_>>()))
+                .collect();
+            // A thread that panicked has a bug that shall be seen here.
+            threads
+                .into_iter()
+                .flat_map(|thread| thread.join().unwrap_or_else(|e| std::panic::resume_unwind(e)))
+                .collect()
+        })
+    }
+}
+
+/// Casts the shadows of `lit`'s lamp for the scene's shape in the poses as they are. Waits.
+pub fn cast_shadows(scene: &Scene, faces: &[[u32; 3]], lit: &mut Lit, poses: &PoseGroups) -> Result<(), GpuError> {
+    if !lit.light.has_lamp() {
+        return Ok(());
+    }
+    let mut clip = PosedClip::new(faces);
+    for frame in 0..scene.frames.len() {
+        let mut recorder = scene.gpu.recorder("fit/cast_shadows");
+        scene.skinning.pose_forward(&mut recorder, &scene.shape, poses.at(frame), &scene.posed);
+        recorder.submit()?;
+        clip.push_posed(scene)?;
+    }
+    let frames: Vec<usize> = (0..clip.n_frames()).collect();
+    let visible = clip.visibility(lit.light.direction, &frames);
+    lit.set(&scene.gpu, lit.light, &visible);
+    Ok(())
+}
