@@ -124,6 +124,8 @@ pub struct FitConfig {
     pub hip_keypoints: bool,
     /// Whether the light is told from the albedo ([`crate::ops::light`]); else the colours hold both.
     pub light: bool,
+    /// Whether the texture is told the colours of what no frame shows, by its surroundings and the body's other half.
+    pub fill_unseen: bool,
     pub rates: Rates,
     /// Stage 1, with one colour a face.
     pub geometry: StageConfig,
@@ -177,6 +179,7 @@ impl FitConfig {
             pose_smoothing: 1.0 / 30.0,
             hip_keypoints: true,
             light: true,
+            fill_unseen: true,
             rates: Rates {
                 betas: 1e-2,
                 pose: 4e-3,
@@ -239,6 +242,7 @@ impl FitConfig {
         let plain = Phase { preconditioner: Preconditioner::None, ..FINE };
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
+        config.fill_unseen = false;
         config.min_steps_a_pass = 1;
         config.rates.offsets = DIRECT_OFFSET_RATE;
         config.frame_sampling = FrameSampling::Uniform;

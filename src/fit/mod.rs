@@ -150,7 +150,7 @@ fn solve_colours(scene: &Scene, inputs: &Inputs<'_>, state: &mut FitState) -> Re
     let (faces, poses) = (&inputs.body.faces, PoseGroups::new(&scene.gpu, inputs.config, state));
     let mut lit =
         inputs.config.light.then(|| Lit::new(&scene.gpu, faces, inputs.topology, state.n_frames(), state.light));
-    state.face_colours = solve_face_colours(scene, faces, lit.as_mut(), &poses, 0)?;
+    state.face_colours = solve_face_colours(scene, faces, lit.as_mut(), &poses, 0)?.colours;
     state.light = lit.map_or(state.light, |lit| lit.light);
     Ok(())
 }

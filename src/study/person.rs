@@ -43,6 +43,7 @@ pub(super) struct Fitted {
 /// steps along its diffused gradient.
 pub(super) fn comparable(mut config: FitConfig) -> FitConfig {
     config.light = false;
+    config.fill_unseen = false;
     config.frame_sampling = FrameSampling::Uniform;
     step_directly(&mut config, diffused);
     config

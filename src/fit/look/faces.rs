@@ -66,8 +66,8 @@ impl Look for FaceColours {
     fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError> {
         if self.compared && self.solved {
             let lit = self.lit.as_mut().map(|faces| &mut faces.lit);
-            let colours = solve_face_colours(scene, &self.faces, lit, poses, phase.level)?;
-            scene.gpu.write(&self.colours.values, 0, &colours);
+            let albedos = solve_face_colours(scene, &self.faces, lit, poses, phase.level)?;
+            scene.gpu.write(&self.colours.values, 0, &albedos.colours);
         }
         Ok(())
     }

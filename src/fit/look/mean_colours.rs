@@ -10,7 +10,15 @@ use crate::fit::scene::Scene;
 use crate::gpu::{Buffer, GpuError};
 use crate::ops::light::Light;
 
-/// Colours `[F, 3]` over all frames at `level`, for the scene's shape, and with `lit` the light, which is told from the
+/// What [`solve_face_colours`] found.
+pub struct FaceAlbedos {
+    /// `[F, 3]`
+    pub colours: Vec<f32>,
+    /// `[F]`: pixels well inside the masks that showed a face
+    pub counts: Vec<f32>,
+}
+
+/// Colours over all frames at `level`, for the scene's shape, and with `lit` the light, which is told from the
 /// colours and put into `lit` with its shadows. A face that no pixel showed takes the mean of its neighbours, from the seen ones outwards.
 pub fn solve_face_colours(
     scene: &Scene,
@@ -18,9 +26,10 @@ pub fn solve_face_colours(
     lit: Option<&mut Lit>,
     poses: &PoseGroups,
     level: usize,
-) -> Result<Vec<f32>, GpuError> {
+) -> Result<FaceAlbedos, GpuError> {
     let mut clip = PosedClip::new(faces);
-    let observations = observe(scene, faces.len(), lit.as_deref(), poses, level, &mut clip)?;
+    let mut inner = vec![0.0; faces.len()];
+    let observations = observe(scene, faces.len(), lit.as_deref(), poses, level, &mut clip, &mut inner)?;
     let (mut light, mut visible) = (Light::EVEN, Vec::new());
     if let Some(lit) = lit {
         // One camera takes the whole clip; its y points down and its z forward.
@@ -37,10 +46,10 @@ pub fn solve_face_colours(
     let (mut colours, counts) = albedos(&observations, faces.len(), &light, seen);
     colours.iter_mut().for_each(|c| *c = c.min(1.0));
     fill_unseen(faces, &mut colours, &counts);
-    Ok(colours)
+    Ok(FaceAlbedos { colours, counts: inner })
 }
 
-/// What each frame shows of each face. With `lit` each frame's body goes to `clip`; without it the normals are zero.
+/// What each frame shows of each face; adds to `inner [F]` the pixels that do whose neighbours are inside the mask, too. With `lit` each frame's body goes to `clip`; without it the normals are zero.
 fn observe(
     scene: &Scene,
     n_faces: usize,
@@ -48,6 +57,7 @@ fn observe(
     poses: &PoseGroups,
     level: usize,
     clip: &mut PosedClip<'_>,
+    inner: &mut [f32],
 ) -> Result<Vec<Observation>, GpuError> {
     let gpu = &scene.gpu;
     let (sums, counts) =
@@ -56,10 +66,12 @@ fn observe(
     for (frame, images) in scene.frames.iter().enumerate() {
         let level = &images.levels[level];
         let (mut colour, mut seen) = (Vec::new(), Vec::new());
-        for pixel in gpu.read(&level.target)?.into_iter().map(u32::to_le_bytes) {
+        let pixels: Vec<[u8; 4]> = gpu.read(&level.target)?.into_iter().map(u32::to_le_bytes).collect();
+        for (pixel, well_inside) in pixels.iter().zip(well_inside(&pixels, level.width as usize)) {
             let inside = if pixel[3] >= 128 { 1.0f32 } else { 0.0 };
             colour.extend([0, 1, 2].map(|c| inside * pixel[c] as f32 / 255.0));
-            seen.extend([inside; 3]);
+            // Three channels: the first counts all pixels, the second those well inside.
+            seen.extend([inside, f32::from(u8::from(well_inside)), 0.0]);
         }
         let colour = gpu.upload("fit/target_colour", &colour);
         let seen = gpu.upload("fit/target_seen", &seen);
@@ -80,6 +92,7 @@ fn observe(
         }
         for face in (0..n_faces).filter(|face| counts[3 * face] > 0.0) {
             let weight = counts[3 * face];
+            inner[face] += counts[3 * face + 1];
             observations.push(Observation {
                 frame: frame as u32,
                 face: face as u32,
@@ -90,6 +103,18 @@ fn observe(
         }
     }
     Ok(observations)
+}
+
+/// Which pixels lie inside the mask with all four neighbours: its border mixes the person with the background, and the texture
+/// must not learn that.
+pub fn well_inside(pixels: &[[u8; 4]], width: usize) -> impl Iterator<Item = bool> {
+    let height = pixels.len().checked_div(width).unwrap_or(0);
+    let inside = move |x: usize, y: usize| x < width && y < height && pixels[y * width + x][3] >= 128;
+    let well = move |(x, y): (usize, usize)| {
+        let around = [(1, 1), (0, 1), (2, 1), (1, 0), (1, 2)];
+        around.iter().all(|&(dx, dy)| inside((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1)))
+    };
+    (0..height).flat_map(move |y| (0..width).map(move |x| (x, y))).map(well)
 }
 
 /// Gives each face without pixels the mean colour of the neighbours that have one, ring by ring.

@@ -7,6 +7,7 @@ mod mean_colours;
 mod model;
 mod shadows;
 mod texture;
+mod unseen;
 
 pub use faces::FaceColours;
 pub use lit::Lit;

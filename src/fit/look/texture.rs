@@ -2,7 +2,9 @@
 //! with the face colours as they stand; where it is fitted too, each face has the texture's colour in its middle, without
 //! a gradient (the paper's `sg(φ)`).
 
+use super::mean_colours::{FaceAlbedos, well_inside};
 use super::model::TextureModel;
+use super::unseen::{self, Unseen};
 use super::{Lit, Look, cast_shadows, solve_face_colours};
 use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
@@ -25,6 +27,8 @@ use crate::ops::rgb_l1::RgbL1;
 /// A texture, its coordinates, and the way from them to pixels and back.
 pub struct Texture {
     model: TextureModel,
+    /// Coordinates that the model takes at once
+    capacity: usize,
     steps: u32,
     /// `[U, 3]`: a row a vertex, or a row a corner of a texel map's layout
     texcoords: Group,
@@ -33,6 +37,9 @@ pub struct Texture {
     /// Whether the coordinates are learned.
     learned: bool,
     faces: Vec<[u32; 3]>,
+    /// `[V]` both: the body's
+    mirror: Vec<u32>,
+    template: Vec<[f32; 3]>,
     lit: Option<LitTexture>,
     interpolate: Interpolate,
     rgb: RgbL1,
@@ -51,6 +58,11 @@ pub struct Texture {
     /// `[N][level]`, see [`trusted_pixels`].
     trusted: Vec<Vec<PixelList>>,
     pixel_rate: f32,
+    /// Whether what no frame shows is filled, and that, once a phase has begun.
+    fills: bool,
+    unseen: Option<Unseen>,
+    /// Of the frames' colours.
+    rgb_weight: f32,
 }
 
 /// The most pixels that a step looks at in one frame: what the smallest allowed binding holds of the field's activations.
@@ -88,17 +100,10 @@ impl Middles {
     }
 }
 
-/// The pixels well inside the mask: its border mixes the person with the background, and the texture must not learn that.
+/// The pixels that the texture learns from.
 fn trusted_pixels(gpu: &Gpu, level: &FrameLevel) -> Result<PixelList, FitError> {
-    let pixels = gpu.read(&level.target)?;
-    let (width, height) = (level.width as usize, level.height as usize);
-    let inside = |x: usize, y: usize| x < width && y < height && pixels[y * width + x] >> 24 >= 128;
-    let trusted = |(x, y): (usize, usize)| {
-        let around = [(1, 1), (0, 1), (2, 1), (1, 0), (1, 2)];
-        around.iter().all(|&(dx, dy)| inside((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1)))
-    };
-    let all = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-    Ok(PixelList::new(gpu, "fit/trusted", all.map(trusted)))
+    let pixels: Vec<[u8; 4]> = gpu.read(&level.target)?.into_iter().map(u32::to_le_bytes).collect();
+    Ok(PixelList::new(gpu, "fit/trusted", well_inside(&pixels, level.width as usize)))
 }
 
 impl Texture {
@@ -118,13 +123,17 @@ impl Texture {
         };
         let texels = state.texels.as_ref();
         let coords = texels.map_or(state.texcoords.clone(), |t| t.uvs.iter().flat_map(|&[u, v]| [u, v, 0.0]).collect());
+        let capacity = n.min(MAX_LISTED).max(n_faces);
         Ok(Self {
-            model: TextureModel::new(gpu, config, state, n.min(MAX_LISTED).max(n_faces))?,
+            model: TextureModel::new(gpu, config, state, capacity)?,
+            capacity,
             steps: 0,
             texcoords: Group::whole(gpu, "texcoords", &coords, AdamConfig::default()),
             uv_faces: texels.map(|t| gpu.upload("fit/uv_faces", t.uv_faces.as_flattened())),
             learned: texels.is_none() && config.rates.texcoords != 0.0,
             faces: faces.clone(),
+            mirror: inputs.body.mirror.clone(),
+            template: inputs.body.v_template.clone(),
             lit: config.light.then(lit),
             interpolate: Interpolate::new(gpu, n, n.min(MAX_LISTED)),
             rgb: RgbL1::new(gpu, n),
@@ -139,6 +148,9 @@ impl Texture {
             grad_bary: zeros("grad_bary"),
             trusted: trusted.collect::<Result<_, FitError>>()?,
             pixel_rate: config.pixel_rate,
+            fills: config.fill_unseen,
+            unseen: None,
+            rgb_weight: config.texture.weights.rgb,
         })
     }
 
@@ -148,11 +160,21 @@ impl Texture {
 }
 
 impl Look for Texture {
-    /// Solves light and face colours anew for the geometry as it is.
+    /// Solves light and face colours anew for the geometry as it is, and finds out what no frame shows.
     fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError> {
-        if let Some(LitTexture { lit, .. }) = &mut self.lit {
-            let colours = solve_face_colours(scene, &self.faces, Some(lit), poses, phase.level)?;
+        if self.lit.is_none() && !self.fills {
+            return Ok(());
+        }
+        let lit = self.lit.as_mut().map(|texture| &mut texture.lit);
+        let FaceAlbedos { mut colours, counts } = solve_face_colours(scene, &self.faces, lit, poses, phase.level)?;
+        if self.lit.is_some() {
             scene.gpu.write(&self.face_colours, 0, &colours);
+        }
+        if self.fills {
+            let known = unseen::known(&self.faces, &self.template, &counts);
+            unseen::fill(&self.faces, &self.mirror, &known, &mut colours);
+            let faces: Vec<u32> = (0..known.len() as u32).filter(|&f| !known[f as usize]).collect();
+            self.unseen = Unseen::new(&scene.gpu, &faces, &colours, self.capacity);
         }
         Ok(())
     }
@@ -174,6 +196,9 @@ impl Look for Texture {
             interpolate.forward(recorder, *n_faces, pix_to_face, bary_coords, faces, texcoords, Sampling::ALL);
             self.model.forward(recorder, &interpolate.coords, &interpolate.count, *n_faces);
             interpolate.scatter(recorder, *n_faces, self.model.rgb(), BACKGROUND, &self.face_colours);
+        }
+        if let Some(unseen) = &self.unseen {
+            unseen.record(recorder, &self.model, self.faces(scene), &self.texcoords.values, self.rgb_weight);
         }
     }
 
