@@ -198,7 +198,14 @@ impl Look for Texture {
             interpolate.scatter(recorder, *n_faces, self.model.rgb(), BACKGROUND, &self.face_colours);
         }
         if let Some(unseen) = &self.unseen {
-            unseen.record(recorder, &self.model, self.faces(scene), &self.texcoords.values, self.rgb_weight);
+            unseen.record(
+                recorder,
+                &self.model,
+                self.faces(scene),
+                &self.texcoords.values,
+                self.rgb_weight,
+                self.steps,
+            );
         }
     }
 

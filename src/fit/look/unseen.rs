@@ -19,10 +19,14 @@ const ROUNDS: usize = 200;
 /// The other half's colour against the mean of the neighbours': beyond some 1 / √0.03 ≈ 6 rings it outweighs them, so that
 /// borders have no seam and the middle of a large part is what its mirror image is.
 const MIRROR: f32 = 0.03;
-/// Points of a face that learn its colour.
+/// Points of a face that learn its colour; where many faces are unseen, the first of them alone.
 const POINTS: [[f32; 3]; 4] = [[1.0 / 3.0; 3], [0.8, 0.1, 0.1], [0.1, 0.8, 0.1], [0.1, 0.1, 0.8]];
 /// What all of them count together, over a frame's pixels.
 const WEIGHT: f32 = 0.2;
+/// Points in all, but one a face at least, and those that a step looks at, about: where half of the body is unseen, all of them
+/// would cost more than the frames.
+const MAX_POINTS: usize = 8192;
+const POINTS_A_STEP: f64 = 2048.0;
 
 /// Gives each face that is not `known` a colour (`[F, 3]`) between those of its neighbours and that of the face on the other
 /// side of the body, where that one is known. A part of the surface that touches nothing known keeps its colours.
@@ -117,7 +121,8 @@ impl Unseen {
     /// Every one of `faces` learns its colour of `colours [F, 3]`; `None` where there are no faces. At most `max_points`
     /// points are looked at.
     pub fn new(gpu: &Gpu, faces: &[u32], colours: &[f32], max_points: usize) -> Option<Self> {
-        let points = || faces.iter().flat_map(|&f| POINTS.map(|bary| (f, bary))).take(max_points);
+        let of_face = &POINTS[..(MAX_POINTS / faces.len().max(1)).clamp(1, POINTS.len())];
+        let points = || faces.iter().flat_map(|&f| of_face.iter().map(move |&bary| (f, bary))).take(max_points);
         let n = points().count();
         if n == 0 {
             return None;
@@ -142,7 +147,8 @@ impl Unseen {
         })
     }
 
-    /// Records the gradients of the texture; `weight` is that of the frames' colours. Coordinates stay where they are.
+    /// Records the gradients of the texture, from a sample of the points that `step` decides; `weight` is that of the frames'
+    /// colours. Coordinates stay where they are.
     pub fn record(
         &self,
         recorder: &mut Recorder<'_>,
@@ -150,13 +156,16 @@ impl Unseen {
         faces: &Buffer<u32>,
         texcoords: &Buffer<f32>,
         weight: f32,
+        step: u32,
     ) {
         let Self { interpolate, n, .. } = self;
-        interpolate.forward(recorder, *n, &self.pix_to_face, &self.bary_coords, faces, texcoords, Sampling::ALL);
+        let sampling = Sampling { rate: (POINTS_A_STEP / *n as f64).min(1.0), seed: step.wrapping_mul(0x9e37_79b9) };
+        interpolate.forward(recorder, *n, &self.pix_to_face, &self.bary_coords, faces, texcoords, sampling);
         model.forward(recorder, &interpolate.coords, &interpolate.count, *n);
         interpolate.scatter(recorder, *n, model.rgb(), [0.0; 3], &self.image);
         let target = Target::Packed { pixels: &self.target, offset: 0, background: None };
-        let (slot, lambda) = (LossSlot::new(&self.loss, 0), WEIGHT * weight / *n as f32);
+        let lambda = WEIGHT * weight / (*n as f64 * sampling.rate) as f32;
+        let slot = LossSlot::new(&self.loss, 0);
         self.rgb.forward_backward(recorder, *n, &self.image, target, None, slot, lambda, &self.grad_image);
         interpolate.gather(recorder, *n, &self.grad_image, &self.grad_rgb);
         recorder.clear(&self.grad_coords);
