@@ -358,6 +358,21 @@ mod tests {
     }
 
     #[test]
+    fn what_the_camera_cut_off_does_not_darken_the_albedo() {
+        let light = Light { ambient: [0.6; 3], strength: [1.0; 3], direction: sky().direction(0.0, 0.0) };
+        let (lit, dark) = ([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]);
+        let seen = [lit, lit, lit, dark].map(|normal| {
+            let colour = light.shade(normal, 1.0).map(|shade| (0.9 * shade).min(1.0));
+            Observation { frame: 0, face: 0, weight: 1.0, colour, normal }
+        });
+        let (albedo, _) = albedos(&seen, 1, &light, |_| 1.0);
+        assert!(albedo.iter().all(|a| (a - 0.9).abs() < 1e-4), "{albedo:?}");
+        // All white: at least so bright as to be white.
+        let (albedo, _) = albedos(&seen[..3], 1, &light, |_| 1.0);
+        assert!(albedo.iter().all(|a| (a * 1.6 - 1.0).abs() < 1e-4), "{albedo:?}");
+    }
+
+    #[test]
     fn even_light_and_a_person_who_does_not_turn_show_no_lamp() {
         assert_eq!(solve_light(&turning(&Light::EVEN, 360.0), 400, &sky()), Light::EVEN);
         let lamp = Light { ambient: [0.6; 3], strength: [0.7; 3], direction: sky().direction(0.7, 35.0) };

@@ -5,6 +5,7 @@
 use super::Lit;
 use super::lamp::{Observation, Sky, albedos, of_face, solve_light, solve_shadowed_light};
 use super::shadows::PosedClip;
+use super::unseen;
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
 use crate::gpu::{Buffer, GpuError};
@@ -45,7 +46,7 @@ pub fn solve_face_colours(
     let seen = |o: &Observation| visible.get(o.frame as usize).map_or(1.0, |v| of_face(v, faces[o.face as usize]));
     let (mut colours, counts) = albedos(&observations, faces.len(), &light, seen);
     colours.iter_mut().for_each(|c| *c = c.min(1.0));
-    fill_unseen(faces, &mut colours, &counts);
+    unseen::spread(faces, &mut colours, counts.iter().map(|&n| n > 0.0).collect());
     Ok(FaceAlbedos { colours, counts: inner })
 }
 
@@ -115,54 +116,4 @@ pub fn well_inside(pixels: &[[u8; 4]], width: usize) -> impl Iterator<Item = boo
         around.iter().all(|&(dx, dy)| inside((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1)))
     };
     (0..height).flat_map(move |y| (0..width).map(move |x| (x, y))).map(well)
-}
-
-/// Gives each face without pixels the mean colour of the neighbours that have one, ring by ring.
-fn fill_unseen(faces: &[[u32; 3]], colours: &mut [f32], counts: &[f32]) {
-    let n_vertices = faces.iter().flatten().max().map_or(0, |&v| v as usize + 1);
-    let mut known: Vec<bool> = counts.iter().map(|&c| c > 0.0).collect();
-    loop {
-        let mut at_vertex = vec![[0.0f32; 4]; n_vertices];
-        for (f, face) in faces.iter().enumerate().filter(|(f, _)| known[*f]) {
-            for &v in face {
-                let sum = &mut at_vertex[v as usize];
-                (0..3).for_each(|c| sum[c] += colours[3 * f + c]);
-                sum[3] += 1.0;
-            }
-        }
-        let mut filled = Vec::new();
-        for (f, face) in faces.iter().enumerate().filter(|(f, _)| !known[*f]) {
-            let sum = face
-                .iter()
-                .map(|&v| at_vertex[v as usize])
-                .fold([0.0; 4], |a, b| [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]]);
-            if sum[3] > 0.0 {
-                (0..3).for_each(|c| colours[3 * f + c] = sum[c] / sum[3]);
-                filled.push(f);
-            }
-        }
-        if filled.is_empty() {
-            return;
-        }
-        filled.into_iter().for_each(|f| known[f] = true);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn unseen_faces_take_their_neighbours_colour_ring_by_ring() {
-        let faces = [[0, 1, 2], [1, 2, 3], [2, 3, 4], [5, 6, 7]];
-        let mut colours = vec![0.0; 12];
-        colours[..3].copy_from_slice(&[0.2, 0.4, 0.6]);
-        fill_unseen(&faces, &mut colours, &[5.0, 0.0, 0.0, 0.0]);
-        for f in 1..3 {
-            for c in 0..3 {
-                assert!((colours[3 * f + c] - colours[c]).abs() < 1e-6, "face {f}");
-            }
-        }
-        assert_eq!(colours[9..], [0.0; 3], "a part of its own that nobody saw stays as it was");
-    }
 }

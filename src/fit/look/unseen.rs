@@ -31,35 +31,56 @@ const POINTS_A_STEP: f64 = 2048.0;
 /// Gives each face that is not `known` a colour (`[F, 3]`) between those of its neighbours and that of the face on the other
 /// side of the body, where that one is known. A part of the surface that touches nothing known keeps its colours.
 pub fn fill(faces: &[[u32; 3]], mirror: &[u32], known: &[bool], colours: &mut [f32]) {
+    // From the known outwards, so that the relaxation starts near its end.
+    let filled = spread(faces, colours, known.to_vec());
     let colours = colours.as_chunks_mut::<3>().0;
     let neighbours = neighbours(faces);
     let others = mirrored(faces, mirror);
     let other = |f: usize| others[f].filter(|&other| known[other]);
-    // From the known outwards, so that the relaxation starts near its end.
-    let mut filled = known.to_vec();
-    let mean = |of: &[usize], colours: &[[f32; 3]], filled: &[bool]| -> Option<[f32; 3]> {
+    let mean = |of: &[usize], colours: &[[f32; 3]]| -> Option<[f32; 3]> {
         let of: Vec<[f32; 3]> = of.iter().filter(|&&n| filled[n]).map(|&n| colours[n]).collect();
         (!of.is_empty()).then(|| std::array::from_fn(|k| of.iter().map(|c| c[k]).sum::<f32>() / of.len() as f32))
     };
-    loop {
-        let next = |f: usize| Some((f, mean(&neighbours[f], colours, &filled)?));
-        let ring: Vec<(usize, [f32; 3])> = (0..faces.len()).filter(|&f| !filled[f]).filter_map(next).collect();
-        if ring.is_empty() {
-            break;
-        }
-        for (f, colour) in ring {
-            (colours[f], filled[f]) = (colour, true);
-        }
-    }
     let open: Vec<usize> = (0..faces.len()).filter(|&f| !known[f] && filled[f]).collect();
     for _ in 0..ROUNDS {
         for &f in &open {
-            let Some(around) = mean(&neighbours[f], colours, &filled) else { continue };
+            let Some(around) = mean(&neighbours[f], colours) else { continue };
             colours[f] = match other(f) {
                 Some(other) => std::array::from_fn(|k| (around[k] + MIRROR * colours[other][k]) / (1.0 + MIRROR)),
                 None => around,
             };
         }
+    }
+}
+
+/// Gives each face that is not `known` the mean colour of the neighbours that have one, ring by ring. Returns which faces have
+/// one then.
+pub fn spread(faces: &[[u32; 3]], colours: &mut [f32], mut known: Vec<bool>) -> Vec<bool> {
+    let n_vertices = faces.iter().flatten().max().map_or(0, |&v| v as usize + 1);
+    loop {
+        let mut at_vertex = vec![[0.0f32; 4]; n_vertices];
+        for (f, face) in faces.iter().enumerate().filter(|(f, _)| known[*f]) {
+            for &v in face {
+                let sum = &mut at_vertex[v as usize];
+                (0..3).for_each(|c| sum[c] += colours[3 * f + c]);
+                sum[3] += 1.0;
+            }
+        }
+        let mut filled = Vec::new();
+        for (f, face) in faces.iter().enumerate().filter(|(f, _)| !known[*f]) {
+            let sum = face
+                .iter()
+                .map(|&v| at_vertex[v as usize])
+                .fold([0.0; 4], |a, b| [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]]);
+            if sum[3] > 0.0 {
+                (0..3).for_each(|c| colours[3 * f + c] = sum[c] / sum[3]);
+                filled.push(f);
+            }
+        }
+        if filled.is_empty() {
+            return known;
+        }
+        filled.into_iter().for_each(|f| known[f] = true);
     }
 }
 
@@ -239,5 +260,20 @@ mod tests {
         let before = colours.clone();
         fill(&faces, &mirror, &[false; 12], &mut colours);
         assert_eq!(colours, before);
+    }
+
+    #[test]
+    fn unseen_faces_take_their_neighbours_colour_ring_by_ring() {
+        let faces = [[0, 1, 2], [1, 2, 3], [2, 3, 4], [5, 6, 7]];
+        let mut colours = vec![0.0; 12];
+        colours[..3].copy_from_slice(&[0.2, 0.4, 0.6]);
+        let known = spread(&faces, &mut colours, vec![true, false, false, false]);
+        assert_eq!(known, [true, true, true, false]);
+        for f in 1..3 {
+            for c in 0..3 {
+                assert!((colours[3 * f + c] - colours[c]).abs() < 1e-6, "face {f}");
+            }
+        }
+        assert_eq!(colours[9..], [0.0; 3], "a part of its own that nobody saw stays as it was");
     }
 }
