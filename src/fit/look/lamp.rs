@@ -373,6 +373,41 @@ mod tests {
     }
 
     #[test]
+    fn shadows_tell_how_high_the_lamp_stands() {
+        let body = crate::body::Body::test_body();
+        let turned = |k: usize| {
+            let turn = glam::Quat::from_rotation_x(std::f32::consts::PI)
+                * glam::Quat::from_rotation_y(std::f32::consts::TAU * k as f32 / 16.0);
+            let mut pose = [0.0; 72];
+            pose[..3].copy_from_slice(&turn.to_scaled_axis().to_array());
+            crate::ops::skinning::cpu::forward(&body, &[], None, &pose, [0.0, 0.0, 3.0]).vertices
+        };
+        let clip = PosedClip { faces: &body.faces, vertices: (0..16).map(turned).collect() };
+        let light = Light { ambient: [0.6; 3], strength: [0.7; 3], direction: sky().direction(0.6, 44.0) };
+        let visible = clip.visibility(light.direction, &(0..16).collect::<Vec<_>>());
+        let mut seen = Vec::new();
+        for (frame, vertices) in clip.vertices.iter().enumerate() {
+            for (f, &face) in body.faces.iter().enumerate() {
+                let [a, b, c] = face.map(|v| glam::Vec3::from(vertices[v as usize]));
+                let normal = (b - a).cross(c - a).normalize_or_zero();
+                if normal.dot(a) >= 0.0 {
+                    continue;
+                }
+                let normal = normal.to_array();
+                let shade = light.shade(normal, of_face(&visible[frame], face));
+                let colour = std::array::from_fn(|k| (0.2 + 0.1 * ((f + k) % 5) as f32) * shade[k]);
+                seen.push(Observation { frame: frame as u32, face: f as u32, weight: 1.0, colour, normal });
+            }
+        }
+        let start = Light { direction: sky().direction(0.7, 15.0), ..light };
+        let (found, shadows) = solve_shadowed_light(&seen, &body.faces, &start, &sky(), &clip);
+        assert!(angle_deg(found.direction, light.direction) < 8.0, "{found:?}");
+        let (ours, want) = (found.strength[0] / found.ambient[0], light.strength[0] / light.ambient[0]);
+        assert!((ours / want - 1.0).abs() < 0.15, "{ours} instead of {want}");
+        assert_eq!((shadows.len(), shadows[0].len()), (16, body.n_vertices()));
+    }
+
+    #[test]
     fn even_light_and_a_person_who_does_not_turn_show_no_lamp() {
         assert_eq!(solve_light(&turning(&Light::EVEN, 360.0), 400, &sky()), Light::EVEN);
         let lamp = Light { ambient: [0.6; 3], strength: [0.7; 3], direction: sky().direction(0.7, 35.0) };

@@ -9,9 +9,9 @@ use super::Lit;
 
 /// The body as posed in each frame, world space.
 pub struct PosedClip<'a> {
-    faces: &'a [[u32; 3]],
+    pub(super) faces: &'a [[u32; 3]],
     /// `[N][V]`
-    vertices: Vec<Vec<[f32; 3]>>,
+    pub(super) vertices: Vec<Vec<[f32; 3]>>,
 }
 
 impl<'a> PosedClip<'a> {
