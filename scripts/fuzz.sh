@@ -12,12 +12,14 @@ most=150
 # SQLite has two tables of one name, which is no fault.
 export ASAN_OPTIONS=${ASAN_OPTIONS:-detect_odr_violation=0}
 build=${CARGO_TARGET_DIR:-$PWD/target}/fuzz
-cargo +nightly fuzz build --target-dir "$build"
 programs=$build/$(rustc +nightly -vV | sed -n 's/^host: //p')/release
 if [ $# -eq 0 ]; then
     mapfile -t targets < <(cargo +nightly fuzz list)
     set -- "${targets[@]}"
 fi
+for target; do
+    cargo +nightly fuzz build --target-dir "$build" "$target"
+done
 
 for target; do
     committed=$PWD/fuzz/corpus/$target
