@@ -1,5 +1,8 @@
 //! Effigy: rigged, textured, animatable 3D avatars from ordinary video. ARCHITECTURE.md has the map.
 
+// What wgpu's handles are made of is nested deeper than the compiler follows by default when it proves them `Send`.
+#![recursion_limit = "256"]
+
 pub mod avatar;
 pub mod bench;
 pub mod body;
