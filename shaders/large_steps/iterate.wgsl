@@ -9,12 +9,11 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> starts: array<u32>;         // [V + 1]
-@group(0) @binding(2) var<storage, read> neighbours: array<u32>;     // [starts[V]]
-@group(0) @binding(3) var<storage, read> right_side: array<f32>;     // [V, 3]
-@group(0) @binding(4) var<storage, read> x: array<f32>;              // [V, 3]
-@group(0) @binding(5) var<storage, read_write> last_move: array<f32>; // [V, 3]
-@group(0) @binding(6) var<storage, read_write> x_next: array<f32>;   // [V, 3]
+@group(0) @binding(1) var<storage, read> starts: array<u32>;             // [V + 1]
+@group(0) @binding(2) var<storage, read> neighbours: array<u32>;         // [starts[V]]
+@group(0) @binding(3) var<storage, read> right_side: array<vec4<f32>>;   // [V]
+@group(0) @binding(4) var<storage, read> x: array<vec4<f32>>;            // [V]
+@group(0) @binding(5) var<storage, read_write> other: array<vec4<f32>>;  // [V]: x a round before, then the next one
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -22,23 +21,14 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     if i >= params.n_vertices {
         return;
     }
-    let own = vec3(x[3u * i], x[3u * i + 1u], x[3u * i + 2u]);
-    let b = vec3(right_side[3u * i], right_side[3u * i + 1u], right_side[3u * i + 2u]);
-    let degree = f32(starts[i + 1u] - starts[i]);
-    var around = vec3(0.0);
-    for (var k = starts[i]; k < starts[i + 1u]; k++) {
-        let j = neighbours[k];
-        around += vec3(x[3u * j], x[3u * j + 1u], x[3u * j + 2u]);
+    let start = starts[i];
+    let end = starts[i + 1u];
+    var around = vec4(0.0);
+    for (var k = start; k < end; k++) {
+        around += x[neighbours[k]];
     }
-    let diagonal = 1.0 + params.lambda * degree;
-    let residual = (b + params.lambda * around) / diagonal - own;
-    let last = vec3(last_move[3u * i], last_move[3u * i + 1u], last_move[3u * i + 2u]);
-    let move_ = params.momentum * last + params.gain * residual;
-    last_move[3u * i] = move_.x;
-    last_move[3u * i + 1u] = move_.y;
-    last_move[3u * i + 2u] = move_.z;
-    let next = own + move_;
-    x_next[3u * i] = next.x;
-    x_next[3u * i + 1u] = next.y;
-    x_next[3u * i + 2u] = next.z;
+    let own = x[i];
+    let diagonal = 1.0 + params.lambda * f32(end - start);
+    let residual = (right_side[i] + params.lambda * around) / diagonal - own;
+    other[i] = own + params.momentum * (own - other[i]) + params.gain * residual;
 }

@@ -61,12 +61,12 @@ impl Spectrum {
         Self { low, high: (Self::MARGIN * largest).clamp(low, 1.0 + rho) }
     }
 
-    /// The rounds that [`TOLERANCE`] takes: an even number up to [`ROUNDS`].
+    /// The rounds that [`TOLERANCE`] takes, up to [`ROUNDS`].
     fn rounds(self) -> usize {
         let root = (self.high / self.low).sqrt();
         let shrink = (root - 1.0) / (root + 1.0);
         let fits = |k: &usize| 2.0 * shrink.powi(*k as i32) <= TOLERANCE;
-        (2..ROUNDS).step_by(2).find(fits).unwrap_or(ROUNDS)
+        (2..ROUNDS).find(fits).unwrap_or(ROUNDS)
     }
 
     /// The factors `(momentum, gain)` of `rounds` Chebyshev steps.
