@@ -1,8 +1,9 @@
 //! What is expected of poses besides the pictures, for both stages: smooth motion, since a frame alone says little about its
-//! depth, and joints near where the stage found them.
+//! depth, and joints near where the stage found them, the more so the less pictures tell of them.
 
 use super::config::Weights;
 use super::poses::PoseGroups;
+use crate::body::{JOINT_NAMES, N_JOINTS};
 use crate::gpu::{Gpu, Recorder};
 use crate::ops::anchor::{Anchor, AnchorConfig};
 use crate::ops::temporal::{Temporal, TemporalConfig};
@@ -21,6 +22,28 @@ fn acceleration(n: usize) -> f64 {
     (30.0 / n.clamp(1, 30) as f64).powi(2)
 }
 
+/// How far each number of a pose usually ends from where a stage began, radians.
+///
+/// What is hardly seen is held the more firmly: knees and elbows are hinges, a standing leg is not twisted, and of toes and
+/// fingers pictures tell little. Left to the pictures alone, such numbers take up what is wrong with the shape and the
+/// raster's noise.
+fn anchor_scales() -> [[f64; 3]; N_JOINTS] {
+    const USUAL: f64 = 0.1;
+    const HINGE: f64 = 0.01;
+    const TWIST: f64 = 0.02;
+    const END: f64 = 0.03;
+    let of = |joint: &str| match joint {
+        // The root's orientation is well seen.
+        "pelvis" => [f64::INFINITY; 3],
+        "left_hip" | "right_hip" | "left_ankle" | "right_ankle" => [USUAL, TWIST, USUAL],
+        "left_knee" | "right_knee" => [USUAL, HINGE, HINGE],
+        "left_elbow" | "right_elbow" => [HINGE, USUAL, HINGE],
+        "left_foot" | "right_foot" | "left_hand" | "right_hand" => [END; 3],
+        _ => [USUAL; 3],
+    };
+    JOINT_NAMES.map(of)
+}
+
 /// Penalties on the accelerations of pose and placement, and on the way of the joints' angles from the stage's start.
 pub struct Motion {
     pose: Temporal,
@@ -33,15 +56,15 @@ impl Motion {
     pub fn new(gpu: &Gpu, start: &[f32]) -> Self {
         let usual = acceleration(start.len() / 72);
         let (scale, max_change) = (POSE_ACCELERATION * usual, POSE_JUMP.into());
-        // The root's orientation is well seen and is left free.
+        // An axis-angle vector of the root jumps at half a turn.
         let pose = TemporalConfig { stride: 72, first: 3, scale, max_change };
         let (scale, max_change) = (PLACE_ACCELERATION * usual, PLACE_JUMP.into());
         let transl = TemporalConfig { stride: 3, first: 0, scale, max_change };
-        let anchor = AnchorConfig { stride: 72, first: 3, scale: 0.1 };
+        let anchor = AnchorConfig { scales: anchor_scales().as_flattened().to_vec() };
         Self {
             pose: Temporal::new(gpu, pose),
             transl: Temporal::new(gpu, transl),
-            anchor: Anchor::new(gpu, anchor, start),
+            anchor: Anchor::new(gpu, &anchor, start),
         }
     }
 
@@ -61,6 +84,23 @@ impl Motion {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn hinges_are_held_where_they_do_not_bend() {
+        let scales = anchor_scales();
+        let held = |joint: &str| {
+            let scales = scales[JOINT_NAMES.iter().position(|name| *name == joint).unwrap()];
+            scales.map(|scale| scale < 0.05)
+        };
+        for side in ["left", "right"] {
+            // A knee bends about the axis that points to the left, an elbow in the T-pose about the vertical one.
+            assert_eq!(held(&format!("{side}_knee")), [false, true, true]);
+            assert_eq!(held(&format!("{side}_elbow")), [true, false, true]);
+            assert_eq!(held(&format!("{side}_hip")), [false, true, false]);
+            assert_eq!(held(&format!("{side}_shoulder")), [false; 3]);
+        }
+        assert_eq!(held("pelvis"), [false; 3]);
+    }
 
     #[test]
     fn the_same_motion_costs_the_same_in_few_frames_and_in_fewer() {

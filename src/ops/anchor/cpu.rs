@@ -5,14 +5,13 @@ use crate::ops::Real;
 
 /// The penalty.
 pub fn forward<T: Real>(config: &AnchorConfig, values: &[T], start: &[T]) -> T {
-    let pairs = values.iter().zip(start).enumerate().filter(|(i, _)| i % config.stride >= config.first);
-    pairs.map(|(_, (&x, &from))| ((x - from) / T::of(config.scale)).powi(2)).sum()
+    let scales = config.scales.iter().cycle();
+    values.iter().zip(start).zip(scales).map(|((&x, &from), &scale)| ((x - from) / T::of(scale)).powi(2)).sum()
 }
 
 /// Adds `weight` times the gradient.
 pub fn backward<T: Real>(config: &AnchorConfig, values: &[T], start: &[T], weight: T, grads: &mut [T]) {
-    let factor = T::of(2.0 / (config.scale * config.scale)) * weight;
-    for i in (0..values.len()).filter(|i| i % config.stride >= config.first) {
-        grads[i] += factor * (values[i] - start[i]);
+    for (i, &scale) in (0..values.len()).zip(config.scales.iter().cycle()) {
+        grads[i] += T::of(2.0 / (scale * scale)) * weight * (values[i] - start[i]);
     }
 }
