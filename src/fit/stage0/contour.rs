@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use glam::{DMat3, DVec2, DVec3};
 
+use super::landmarks::N_OFFSETS;
 use super::prior;
 use super::problem::{ContourPoint, Pinhole, Problem};
 use super::rig::{Point, Posed};
@@ -19,8 +20,10 @@ pub const ROUNDS: usize = 3;
 const POINTS: usize = 160;
 /// Information of one point: neighbours say nearly the same.
 const WEIGHT: f64 = 0.05;
-/// Clothes are the same in all frames: so many frames weigh as much for the shape as one.
-const FRAMES_ALIKE: f64 = 10.0;
+/// Clothes are the same in all frames: so many frames weigh as much for the shape as one. Shoes and hair make everybody
+/// taller, but not everybody wider.
+const FRAMES_ALIKE: f64 = 50.0;
+const FRAMES_ALIKE_IN_HEIGHT: f64 = 10.0;
 /// σ outside and inside the mask in multiples of the person's height: the naked body may lie inside the mask by
 /// the thickness of clothes, hardly outside.
 const OUTSIDE: f64 = 0.006;
@@ -54,9 +57,11 @@ pub fn refine(
     // Where detectors see a joint is settled by then. Clothes hang lower than the body: could they talk keypoints out of where
     // the hips are, hips would follow the crotch of the trousers.
     best.problem.offsets = best.state.shared.offsets;
-    best.problem.offset_sigma = prior::SETTLED_OFFSET_SIGMA;
+    best.problem.offset_sigma = [prior::SETTLED_OFFSET_SIGMA; N_OFFSETS];
     best.scales.contour_weight = WEIGHT;
-    best.scales.shape_weight = (best.state.frames.len() as f64 / FRAMES_ALIKE).max(1.0);
+    let frames = best.state.frames.len() as f64;
+    best.scales.shape_weight = (frames / FRAMES_ALIKE).max(1.0);
+    best.scales.stature_weight = (frames / FRAMES_ALIKE_IN_HEIGHT).max(1.0);
     best.scales.contour_outside_px = OUTSIDE * height;
     best.scales.contour_inside_px = INSIDE * height;
     let dressed: Vec<bool> = (0..body.n_vertices()).map(|v| is_dressed(body, v)).collect();

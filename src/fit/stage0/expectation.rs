@@ -25,7 +25,7 @@ impl Problem {
     pub(super) fn shared_prior(&self, shared: &Shared, scales: &Scales, mut normal: Option<&mut Normal>) -> f64 {
         let grown: f64 = self.stature.slopes.iter().zip(&shared.betas).map(|(s, b)| s * b).sum();
         let taller = self.stature.template + grown - self.stature.expected;
-        let weight = scales.shape_weight / (self.stature.sigma * self.stature.sigma);
+        let weight = scales.stature_weight / (self.stature.sigma * self.stature.sigma);
         let mut cost = 0.5 * weight * taller * taller;
         if let Some(normal) = normal.as_deref_mut() {
             let slopes: Vec<_> =
@@ -45,7 +45,7 @@ impl Problem {
         for slot in 0..N_OFFSETS {
             for axis in 0..3 {
                 let unexpected = shared.offsets[slot][axis] - self.offsets[slot][axis];
-                pull(self.layout.offset_column(slot) + axis, unexpected, self.offset_sigma);
+                pull(self.layout.offset_column(slot) + axis, unexpected, self.offset_sigma[slot]);
             }
         }
         pull(self.layout.focal_column(), shared.log_focal, self.focal_sigma);

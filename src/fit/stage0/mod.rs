@@ -16,6 +16,7 @@ mod known;
 mod landmarks;
 mod minimise;
 mod normal;
+mod offsets;
 mod placement;
 mod prior;
 mod problem;
@@ -149,7 +150,10 @@ pub fn solve(
     if let Some(height) = options.height_m {
         candidates.iter_mut().for_each(|c| c.problem.stature.measured(height));
     }
-    let rounds = ROUGH_ROUNDS * candidates.len() + FINE_ROUNDS + if options.use_masks { contour::ROUNDS } else { 0 };
+    let rounds = ROUGH_ROUNDS * candidates.len()
+        + FINE_ROUNDS
+        + offsets::ROUNDS
+        + if options.use_masks { contour::ROUNDS } else { 0 };
     let mut clock = Clock { progress, rounds, iterations: options.iterations.max(1), round: 0, step: 0 };
     for candidate in &mut candidates {
         for round in 0..ROUGH_ROUNDS {
@@ -166,6 +170,8 @@ pub fn solve(
         best.descend(1e-4, &mut clock)?;
         report.costs.push(best.cost);
     }
+    offsets::settle(&mut best, &mut clock)?;
+    report.costs.push(best.cost);
     if options.use_masks {
         contour::refine(&mut best, body, capture, &mut report, &mut clock)?;
     }

@@ -65,8 +65,9 @@ pub struct Scales {
     /// σ of contours outside and inside the mask: clothes and hair make masks larger than the naked body.
     pub contour_outside_px: f64,
     pub contour_inside_px: f64,
-    /// Information of the shape prior: more than 1 where the evidence errs alike in all frames.
+    /// Information of the priors of shape and stature: more than 1 where the evidence errs alike in all frames.
     pub shape_weight: f64,
+    pub stature_weight: f64,
 }
 
 /// The body's height, metres.
@@ -96,7 +97,7 @@ pub struct Problem {
     pub landmarks: Vec<Landmark>,
     /// What is expected of fitted keypoint offsets, and its spread, metres.
     pub offsets: [DVec3; N_OFFSETS],
-    pub offset_sigma: f64,
+    pub offset_sigma: [f64; N_OFFSETS],
     pub points: Vec<Point>,
     /// `[N][K]`
     pub observations: Vec<Vec<Observation>>,

@@ -4,6 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::landmarks::N_OFFSETS;
 use super::landmarks::landmarks;
+use super::offsets;
 use super::placement::{self, Placement};
 use super::prior::{self, Prior};
 use super::problem::{Observation, Pinhole, Problem, Scales, Stature};
@@ -61,7 +62,7 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         focal_sigma: if capture.camera_estimated { GUESSED_FOCAL } else { KNOWN_FOCAL },
         landmarks,
         offsets: [DVec3::ZERO; N_OFFSETS],
-        offset_sigma: prior::OFFSET_SIGMA,
+        offset_sigma: offsets::WIDE,
         points,
         observations,
         gaps,
@@ -99,6 +100,7 @@ pub fn rough_scales(problem: &Problem, state: &State) -> Scales {
         contour_outside_px: 1.0,
         contour_inside_px: 1.0,
         shape_weight: 1.0,
+        stature_weight: 1.0,
     }
 }
 

@@ -279,6 +279,34 @@ fn hips_and_shoulders_that_are_not_where_the_joints_are() {
     recovers(&Difficulty { bias: 0.03, seed: 18, ..Difficulty::default() }, 0.025, 7.0);
 }
 
+/// How far hips and shoulders were moved onto the body's own, mean, pixels.
+fn moved_px(clip: &Clip, result: &Stage0Result) -> [f32; 2] {
+    let of = |points: [usize; 2]| {
+        let mut moved = Vec::new();
+        for (frame, understood) in clip.capture.frames.iter().zip(&result.keypoints) {
+            for k in points.into_iter().filter(|&k| understood[k][2] > 0.0) {
+                let ([x, y, _], [u, v, _]) = (frame.keypoints[k], understood[k]);
+                moved.push((x - u).hypot(y - v));
+            }
+        }
+        moved.iter().sum::<f32>() / moved.len() as f32
+    };
+    [of([11, 12]), of([5, 6])] // of coco17
+}
+
+#[test]
+fn hips_and_shoulders_are_believed_where_they_are_the_joints() {
+    for seed in 30..33 {
+        let (clip, result, errors) = solved(&Difficulty { seed, ..Difficulty::default() });
+        let moved = moved_px(&clip, &result);
+        assert!(moved.iter().all(|px| *px < 0.6), "{moved:?} px of seed {seed}: {errors:?}");
+        // 42 mm in the body are 11 px.
+        let (clip, result, errors) = solved(&Difficulty { bias: 0.03, seed, ..Difficulty::default() });
+        let moved = moved_px(&clip, &result);
+        assert!(moved.iter().all(|px| *px > 4.0), "{moved:?} px of seed {seed}: {errors:?}");
+    }
+}
+
 #[test]
 fn a_detector_that_takes_backs_for_fronts() {
     let how =

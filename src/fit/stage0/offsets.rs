@@ -1,0 +1,37 @@
+//! Whether the keypoints of hips and shoulders are the rig's own joints.
+//!
+//! Detectors place them a few centimetres elsewhere on the body, so each pair has an offset, and its prior is wide. But a person
+//! who turns hardly bends the hips: an offset, a wider pelvis and longer thighs look nearly the same, and with a wide prior the
+//! mean body's proportions decide. Keypoints that come from a rig (motion capture, renderers, models that regress a
+//! body) have no offset and tell those lengths to a millimetre. Both readings are descended to, and no offset is believed
+//! where that costs next to nothing.
+
+use super::landmarks::{N_OFFSETS, Part};
+use super::{Candidate, Clock, Stage0Error, prior};
+
+/// Parts whose keypoints are read alike.
+const TOGETHER: [&[Part]; 2] = [&[Part::Hip, Part::MidHip], &[Part::Shoulder]];
+/// By how much the cost may rise (log-odds). The narrow prior alone is worth `3 ln(25 mm / 2 mm)` = 7.6 where keypoints have
+/// no offset, less as far as they cannot tell.
+const MARGIN: f64 = 2.0;
+
+/// Narrows the prior of the offsets that are not needed.
+pub fn settle(best: &mut Candidate, clock: &mut Clock<'_>) -> Result<(), Stage0Error> {
+    for parts in TOGETHER {
+        let (state, cost, sigma) = (best.state.clone(), best.cost, best.problem.offset_sigma);
+        for slot in parts.iter().filter_map(|part| part.offset()) {
+            best.problem.offset_sigma[slot] = prior::SETTLED_OFFSET_SIGMA;
+        }
+        best.descend(1e-4, clock)?;
+        if best.cost > cost + MARGIN {
+            (best.state, best.cost, best.problem.offset_sigma) = (state, cost, sigma);
+        }
+    }
+    Ok(())
+}
+
+/// How many rounds of descent that takes.
+pub const ROUNDS: usize = TOGETHER.len();
+
+/// The prior before it is settled.
+pub const WIDE: [f64; N_OFFSETS] = [prior::OFFSET_SIGMA; N_OFFSETS];
