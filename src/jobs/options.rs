@@ -33,11 +33,12 @@ pub struct JobOptions {
     /// Name of the body model; the server's `bodies` folder holds them.
     #[schema(default = "default", pattern = "^[A-Za-z0-9_-]{1,64}$")]
     pub body: String,
-    /// Seed of everything random in the fit. The same inputs, options and device give the same avatar but for rounding.
+    /// Seed of everything random in the fit. The same inputs, options and device give the same avatar within a millimetre
+    /// or two: sums on the device are added in no fixed order.
     #[schema(default = 0)]
     pub seed: u64,
-    /// The person's height, metres. One camera cannot tell a small person near from a tall one far; absent, the body's
-    /// mean height decides.
+    /// The person's height, metres. One camera cannot tell a small person near from a tall one far; absent, the mean
+    /// height of adults, 1.65 m, decides.
     #[schema(minimum = 0.5, maximum = 2.5)]
     pub height_m: Option<f64>,
     /// Side of the baked texture: 2048 or 4096.

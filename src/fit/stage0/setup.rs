@@ -82,7 +82,7 @@ fn stature(body: &Body) -> Stature {
     Stature {
         template,
         slopes: (0..body.n_betas.min(MOST_BETAS)).map(|b| rise(highest, b) - rise(lowest, b)).collect(),
-        expected: template,
+        expected: prior::ADULT_STATURE,
         sigma: prior::STATURE_SIGMA,
     }
 }
