@@ -3,7 +3,7 @@
 //! Detectors place them a few centimetres elsewhere on the body, so each pair has an offset, and its prior is wide. But a person
 //! who turns hardly bends the hips: an offset, a wider pelvis and longer thighs look nearly the same, and with a wide prior the
 //! mean body's proportions decide. Keypoints that come from a rig (motion capture, renderers, models that regress a
-//! body) have no offset and tell those lengths to a millimetre. Both readings are descended to, and no offset is believed
+//! body) have no offset and tell those lengths. Both readings are descended to, and no offset is believed
 //! where that costs next to nothing.
 
 use super::landmarks::{N_OFFSETS, Part};
@@ -14,6 +14,12 @@ const TOGETHER: [&[Part]; 2] = [&[Part::Hip, Part::MidHip], &[Part::Shoulder]];
 /// By how much the cost may rise (log-odds). The narrow prior alone is worth `3 ln(25 mm / 2 mm)` = 7.6 where keypoints have
 /// no offset, less as far as they cannot tell.
 const MARGIN: f64 = 2.0;
+
+/// Rounds of descent that settling takes.
+pub const ROUNDS: usize = TOGETHER.len();
+
+/// The offsets' prior before.
+pub const WIDE: [f64; N_OFFSETS] = [prior::OFFSET_SIGMA; N_OFFSETS];
 
 /// Narrows the prior of the offsets that are not needed.
 pub fn settle(best: &mut Candidate, clock: &mut Clock<'_>) -> Result<(), Stage0Error> {
@@ -29,9 +35,3 @@ pub fn settle(best: &mut Candidate, clock: &mut Clock<'_>) -> Result<(), Stage0E
     }
     Ok(())
 }
-
-/// How many rounds of descent that takes.
-pub const ROUNDS: usize = TOGETHER.len();
-
-/// The prior before it is settled.
-pub const WIDE: [f64; N_OFFSETS] = [prior::OFFSET_SIGMA; N_OFFSETS];

@@ -26,7 +26,8 @@ pub const PELVIS_DRIFT: f64 = 0.003;
 pub const TURN_DRIFT: f64 = 0.005;
 /// Spread of the body's up axis about the camera's, radians.
 pub const UPRIGHT_SIGMA: f64 = 0.35;
-/// The world's mean height of adults, metres: men 1.71, women 1.59 (NCD-RisC 2016, born in 1996). A body's mean shape need not have it.
+/// The world's mean height of adults, metres: men 1.71, women 1.59 (NCD-RisC 2016, born in 1996). A body's mean shape need
+/// not have it.
 pub const ADULT_STATURE: f64 = 1.65;
 /// Spread of the body's height about that, metres. Betas alone allow more; but what looks like a
 /// child's proportions is more often clothes, shoes and hair.
