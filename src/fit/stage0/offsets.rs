@@ -13,7 +13,7 @@ use super::{Candidate, Clock, Stage0Error, prior};
 const TOGETHER: [&[Part]; 2] = [&[Part::Hip, Part::MidHip], &[Part::Shoulder]];
 /// By how much the cost may rise (log-odds). The narrow prior alone is worth `3 ln(25 mm / 2 mm)` = 7.6 where keypoints have
 /// no offset, less as far as they cannot tell.
-const MARGIN: f64 = 2.0;
+const MARGIN: f64 = 4.0;
 
 /// Rounds of descent that settling takes.
 pub const ROUNDS: usize = TOGETHER.len();
