@@ -156,16 +156,16 @@ impl FitConfig {
     /// A first look: half resolution, few passes.
     pub fn draft(seed: u64) -> Self {
         let mut config = Self::standard(seed);
-        config.geometry.phases = vec![Phase { epochs: 6, offsets: false, ..COARSE }, Phase { epochs: 14, ..COARSE }];
+        config.geometry.phases = vec![Phase { epochs: 20, ..COARSE }];
         config.texture.phases = vec![Phase { epochs: 8, ..TEXTURED }];
         config
     }
 
     /// Good quality in minutes on two cores.
     pub fn standard(seed: u64) -> Self {
+        // D from the start: a naked body can only follow clothes by a wrong β and wrong poses.
         let geometry = vec![
-            Phase { epochs: 12, offsets: false, ..COARSE },
-            Phase { epochs: 30, ..COARSE },
+            Phase { epochs: 42, ..COARSE },
             Phase { epochs: 30, preconditioner: Preconditioner::LargeSteps { lambda: 4.0 }, rate: 0.7, ..FINE },
         ];
         let texture = vec![Phase { epochs: 20, ..TEXTURED }];
@@ -320,7 +320,7 @@ mod tests {
         let passes = |config: &FitConfig| config.phases().map(|p| p.epochs).sum::<u32>();
         let (standard, joint) = (FitConfig::standard(0), FitConfig::standard(0).joint());
         assert_eq!(passes(&joint), passes(&standard));
-        assert!(joint.geometry.phases.is_empty() && joint.texture.shape && joint.texture.phases.len() == 4);
+        assert!(joint.geometry.phases.is_empty() && joint.texture.shape && joint.texture.phases.len() == 3);
         assert_eq!(joint.texture.weights, standard.geometry.weights);
     }
 }

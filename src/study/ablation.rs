@@ -8,7 +8,7 @@ use super::person::{Fitted, Person, diffused, step_directly};
 use super::{Context, Report, Study, Table, Verdict};
 use crate::eval::{Subject, Summary, SynthOptions};
 use crate::fit::FitConfig;
-use crate::fit::config::{FrameSampling, Preconditioner, SilhouetteGradient};
+use crate::fit::config::{FrameSampling, Phase, Preconditioner, SilhouetteGradient};
 
 pub const STUDY: Study = Study {
     name: "ablation",
@@ -56,6 +56,7 @@ const CHANGES: &[Change] = &[
     Change { name: "no prior on motion", apply: |config| no_motion(config) },
     Change { name: "poses step frame by frame", apply: |config| config.pose_smoothing = 0.0 },
     Change { name: "the shape stands in stage 2", apply: |config| *config = config.clone().with_shape_standing() },
+    Change { name: "β and poses before D", apply: naked_first },
     Change { name: "no keypoints of hips", apply: |config| config.hip_keypoints = false },
 ];
 
@@ -64,6 +65,15 @@ fn full_resolution(config: &mut FitConfig) {
     for phase in &mut config.geometry.phases {
         (phase.level, phase.sigma, phase.depth_softness_m) = (fine.level, fine.sigma, fine.depth_softness_m);
     }
+}
+
+/// The first passes without D, as if the person were naked.
+fn naked_first(config: &mut FitConfig) {
+    let first = &mut config.geometry.phases[0];
+    let naked = first.epochs * 2 / 7;
+    first.epochs -= naked;
+    let phase = Phase { epochs: naked, offsets: false, ..first.clone() };
+    config.geometry.phases.insert(0, phase);
 }
 
 fn no_soft_image(config: &mut FitConfig) {

@@ -33,8 +33,8 @@ const SHOWN_PX: u32 = 432;
 pub struct Settings {
     pub frames: usize,
     pub size_px: u32,
-    /// Passes: poses alone and D at half resolution, D at full
-    pub passes: [u32; 3],
+    /// Passes at half and at full resolution
+    pub passes: [u32; 2],
     pub batch: usize,
     pub outfits: Vec<Outfit>,
     pub surfaces: usize,
@@ -43,16 +43,16 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         let outfits = vec![Outfit::Tight, Outfit::Loose, Outfit::Breeches, Outfit::Hoodie, Outfit::Hair];
-        Self { frames: 24, size_px: 288, passes: [6, 14, 16], batch: 3, outfits, surfaces: 3 }
+        Self { frames: 24, size_px: 288, passes: [20, 16], batch: 3, outfits, surfaces: 3 }
     }
 }
 
 /// `standard`'s geometry stage with these passes, and no stage 2.
 fn shortened(config: FitConfig, settings: &Settings) -> FitConfig {
     let mut config = comparable(config);
-    for (phase, passes) in config.geometry.phases.iter_mut().zip(settings.passes) {
-        phase.epochs = passes;
-    }
+    let phases = &mut config.geometry.phases;
+    assert_eq!(phases.len(), settings.passes.len(), "phases of standard's geometry");
+    phases.iter_mut().zip(settings.passes).for_each(|(phase, passes)| phase.epochs = passes);
     config.texture.phases.clear();
     config.batch = settings.batch;
     config
@@ -86,8 +86,8 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
         format!("From left to right: the truth, RGB and silhouettes, silhouettes alone. {}", names.join(", "));
     let Settings { frames, size_px, passes, .. } = settings;
     let note = format!(
-        "{frames} frames of {size_px}², poses found from keypoints and masks; {passes:?} passes: poses, D at half \
-         resolution, D at full."
+        "{frames} frames of {size_px}², poses found from keypoints and masks; {passes:?} passes at half and at \
+         full resolution."
     );
     // Persons beside each other in two rows, so that the folds can be seen.
     let rows: Vec<Vec<RgbImage>> = pictures.chunks(2).map(|pair| pair.concat()).collect();
@@ -157,7 +157,7 @@ mod tests {
         let work = tempfile::tempdir().unwrap();
         let context = Context::for_test(gpu, work.path());
         let outfits = vec![Outfit::Loose, Outfit::Hair];
-        let settings = Settings { frames: 6, size_px: 96, passes: [1, 2, 1], batch: 3, outfits, surfaces: 1 };
+        let settings = Settings { frames: 6, size_px: 96, passes: [3, 1], batch: 3, outfits, surfaces: 1 };
         let report = run(&context, &settings).unwrap();
         let table = &report.tables[0];
         assert_eq!((table.rows.len(), table.columns.len()), (4, 3));

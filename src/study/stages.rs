@@ -35,24 +35,23 @@ pub const STUDY: Study = Study {
 pub struct Settings {
     pub frames: usize,
     pub size_px: u32,
-    /// Passes: poses alone and D at half resolution, D at full, texture
-    pub passes: [u32; 4],
+    /// Passes: geometry at half and at full resolution, texture
+    pub passes: [u32; 3],
     pub batch: usize,
     pub truths: usize,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { frames: 24, size_px: 288, passes: [6, 12, 12, 8], batch: 3, truths: 4 }
+        Self { frames: 24, size_px: 288, passes: [18, 12, 8], batch: 3, truths: 4 }
     }
 }
 
 fn two_stages(seed: u64, settings: &Settings) -> FitConfig {
     let mut config = comparable(FitConfig::standard(seed).with_shape_standing());
-    for (phase, passes) in config.geometry.phases.iter_mut().zip(settings.passes) {
-        phase.epochs = passes;
-    }
-    config.texture.phases[0].epochs = settings.passes[3];
+    let phases: Vec<_> = config.geometry.phases.iter_mut().chain(&mut config.texture.phases).collect();
+    assert_eq!(phases.len(), settings.passes.len(), "phases of standard");
+    phases.into_iter().zip(settings.passes).for_each(|(phase, passes)| phase.epochs = passes);
     config.batch = settings.batch;
     config.pixel_rate = 1.0;
     config
@@ -166,7 +165,7 @@ mod tests {
         let Some(gpu) = gpu("study::stages::a_small_study_compares_both") else { return };
         let work = tempfile::tempdir().unwrap();
         let context = Context::for_test(gpu, work.path());
-        let settings = Settings { frames: 6, size_px: 96, passes: [1, 1, 1, 2], batch: 3, truths: 1 };
+        let settings = Settings { frames: 6, size_px: 96, passes: [2, 1, 2], batch: 3, truths: 1 };
         let report = run(&context, &settings).unwrap();
         let rows = &report.tables[0].rows;
         assert_eq!((rows.len(), rows[4].label.as_str()), (5, "truth"));

@@ -1,5 +1,6 @@
 //! A job from files to files: decode, fit, bake, export. `effigy fit` runs the same pipeline without a server.
 
+mod closeups;
 mod export;
 mod page;
 mod preview;

@@ -6,6 +6,7 @@ use std::f32::consts::PI;
 use image::{Rgb, RgbImage, RgbaImage};
 use serde_json::Value;
 
+use super::closeups::closeups;
 use super::quality::Quality;
 use super::score::{FrameScore, spec_of};
 use super::{PipelineError, Stage};
@@ -30,6 +31,7 @@ const HEAT_MOST: f32 = 0.25;
 pub(super) struct Pictures {
     turntable: String,
     frames: Vec<(String, String)>,
+    closeups: Vec<(String, String)>,
 }
 
 /// Draws what the page shows. Waits.
@@ -48,7 +50,7 @@ pub(super) fn pictures(
         let caption = format!("frame {}: IoU {:.3}, PSNR {:.1} dB{rank}", score.frame, score.iou, score.psnr);
         frames.push((inline_jpeg(&picture, 82, "input, fit over it, difference"), caption));
     }
-    Ok(Pictures { turntable, frames })
+    Ok(Pictures { turntable, frames, closeups: closeups(renderer, capture)? })
 }
 
 /// The worst frames first, then frames spread evenly, none twice.
@@ -128,6 +130,9 @@ pub(super) fn html(
          difference: dark is none, lightest is {most:.0} % of the range or more."
     ));
     page.figure_row(&pictures.frames);
+    page.heading("Close up");
+    page.paragraph("Face, chest, back and hands, each in the frame that shows it best: the input and the avatar, equally enlarged.");
+    page.figure_row(&pictures.closeups);
     losses(&mut page, curves);
     page.heading("Times and memory");
     page.table(&["", "seconds"], &times(report));

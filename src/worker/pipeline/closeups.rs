@@ -1,0 +1,170 @@
+//! Where people look first: face, chest, back and hands, the input beside the avatar.
+
+use image::imageops::FilterType;
+use image::{Rgb, RgbImage};
+
+use super::PipelineError;
+use super::score::spec_of;
+use crate::avatar::{AvatarModel, RenderSpec, Renderer};
+use crate::capture::{Capture, Frame};
+use crate::ops::skinning::cpu::Posed;
+use crate::page::{inline_jpeg, over, strip};
+
+/// Side of a picture.
+const SIDE_PX: u32 = 240;
+/// Room around the part, over its own size.
+const MARGIN: f32 = 1.15;
+
+/// Which side of the body shows a part best.
+#[derive(Clone, Copy)]
+enum Best {
+    /// The joint's own front towards the camera.
+    Front,
+    Back,
+    /// Nearest to the camera: what hangs at the body's side is hidden by it from the other one.
+    Near,
+}
+
+struct Part {
+    name: &'static str,
+    /// The first one tells where the part faces; vertices that follow one of them most are the part.
+    joints: &'static [usize],
+    best: Best,
+}
+
+/// In SMPL's joints: head; spine2 and spine3; wrists and hands.
+const PARTS: [Part; 5] = [
+    Part { name: "face", joints: &[15], best: Best::Front },
+    Part { name: "chest", joints: &[9, 6], best: Best::Front },
+    Part { name: "back", joints: &[9, 6], best: Best::Back },
+    Part { name: "left hand", joints: &[20, 22], best: Best::Near },
+    Part { name: "right hand", joints: &[21, 23], best: Best::Near },
+];
+
+/// Each part in the frame that shows it best: input and avatar, equally enlarged, with captions. Waits.
+pub(super) fn closeups(renderer: &Renderer, capture: &Capture) -> Result<Vec<(String, String)>, PipelineError> {
+    let model = renderer.model();
+    let posed: Vec<Posed<f32>> = model.poses.iter().zip(&model.transl).map(|(p, t)| model.posed(p, *t)).collect();
+    let mut shown = Vec::new();
+    for part in &PARTS {
+        let worth = |k: &usize| part.best.worth(&posed[*k], part.joints[0]);
+        let Some(k) = (0..posed.len()).max_by(|a, b| worth(a).total_cmp(&worth(b))) else { continue };
+        let Some(square) = square(model, &posed[k], part.joints) else { continue };
+        let frame = &capture.frames[k];
+        let input = enlarged(frame, square);
+        let ours = renderer.render(&spec_in(renderer, k, frame, square)).map_err(anyhow::Error::from)?;
+        let white = RgbImage::from_pixel(SIDE_PX, SIDE_PX, Rgb([255; 3]));
+        let pair = strip(&[input, over(&ours, &white)], 4, [255; 3]);
+        let alt = format!("{}: input, avatar", part.name);
+        shown.push((inline_jpeg(&pair, 88, &alt), format!("{}, frame {}", part.name, frame.index)));
+    }
+    Ok(shown)
+}
+
+impl Best {
+    /// How well a frame shows a part.
+    fn worth(self, posed: &Posed<f32>, joint: usize) -> f32 {
+        let at = posed.joints[joint];
+        match self {
+            // The camera is the world's origin; the third column is where the T-pose's front has turned to.
+            Best::Front | Best::Back => {
+                let towards: f32 = (0..3).map(|r| -at[r] * posed.transforms[joint].rotation[r][2]).sum();
+                if matches!(self, Best::Front) { towards } else { -towards }
+            }
+            Best::Near => posed.joints[0][2] - at[2],
+        }
+    }
+}
+
+/// The square around a part's vertices as the model's camera sees them: left, top, side; pixels of the whole image. `None` where
+/// it has no vertices before the camera.
+fn square(model: &AvatarModel, posed: &Posed<f32>, joints: &[usize]) -> Option<[f32; 3]> {
+    let follows = |v: usize| {
+        let (of, weights) = (&model.body.lbs_joints[v], &model.body.lbs_weights[v]);
+        let most = (0..of.len()).max_by(|a, b| weights[*a].total_cmp(&weights[*b]));
+        most.is_some_and(|most| joints.contains(&(of[most] as usize)))
+    };
+    let camera = &model.camera;
+    let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
+    for (_, [x, y, z]) in posed.vertices.iter().enumerate().filter(|(v, p)| p[2] > 0.1 && follows(*v)) {
+        let at = [camera.fx as f32 * x / z + camera.cx as f32, camera.fy as f32 * y / z + camera.cy as f32];
+        (0..2).for_each(|k| (low[k], high[k]) = (low[k].min(at[k]), high[k].max(at[k])));
+    }
+    let side = MARGIN * (high[0] - low[0]).max(high[1] - low[1]);
+    side.is_finite().then(|| [0.5 * (low[0] + high[0] - side), 0.5 * (low[1] + high[1] - side), side.max(4.0)])
+}
+
+/// The part of a frame, resampled; white where the frame has no pixels.
+fn enlarged(frame: &Frame, [left, top, side]: [f32; 3]) -> RgbImage {
+    let side_px = side.round() as u32;
+    let part = RgbImage::from_fn(side_px, side_px, |x, y| {
+        let x = left.round() as i64 + i64::from(x) - i64::from(frame.x0);
+        let y = top.round() as i64 + i64::from(y) - i64::from(frame.y0);
+        if x < 0 || y < 0 || x >= i64::from(frame.width) || y >= i64::from(frame.height) {
+            return Rgb([255; 3]);
+        }
+        let at = 3 * (y as usize * frame.width as usize + x as usize);
+        Rgb([frame.rgb[at], frame.rgb[at + 1], frame.rgb[at + 2]])
+    });
+    image::imageops::resize(&part, SIDE_PX, SIDE_PX, FilterType::CatmullRom)
+}
+
+/// The avatar in the same square of frame `k`.
+fn spec_in(renderer: &Renderer, k: usize, frame: &Frame, [left, top, side]: [f32; 3]) -> RenderSpec {
+    let spec = spec_of(renderer, k, frame);
+    let side_px = side.round() as u32;
+    let camera = renderer.model().camera.cropped(left.round() as i32, top.round() as i32, side_px, side_px);
+    RenderSpec { camera: camera.scaled(SIDE_PX, SIDE_PX), ..spec }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::avatar::testing::turning_avatar;
+
+    #[test]
+    fn a_square_holds_the_part_and_little_more() {
+        let model = turning_avatar();
+        let posed = model.posed(&model.poses[0], model.transl[0]);
+        let head = square(&model, &posed, &[15]).unwrap();
+        let body = square(&model, &posed, &(0..24).collect::<Vec<_>>()).unwrap();
+        assert!(head[2] < 0.4 * body[2], "{head:?} of {body:?}");
+        let [x, _, z] = posed.joints[15];
+        let x = model.camera.fx as f32 * x / z + model.camera.cx as f32;
+        assert!(head[0] < x && x < head[0] + head[2], "{head:?}, the joint at {x}");
+        assert_eq!(square(&model, &posed, &[99]), None);
+    }
+
+    #[test]
+    fn a_part_is_shown_from_its_own_side() {
+        let model = turning_avatar();
+        let posed: Vec<_> = model.poses.iter().zip(&model.transl).map(|(p, t)| model.posed(p, *t)).collect();
+        let best = |best: Best, joint: usize| {
+            let worth = |k: &usize| best.worth(&posed[*k], joint);
+            (0..posed.len()).max_by(|a, b| worth(a).total_cmp(&worth(b))).unwrap()
+        };
+        // Turns of 0, 74°, 149°, 223° and 298°, the first towards the camera.
+        assert_eq!((best(Best::Front, 15), best(Best::Back, 9)), (0, 2));
+        let (left, right) = (best(Best::Near, 20), best(Best::Near, 21));
+        assert!([left, right] == [1, 4] || [left, right] == [4, 1], "{left}, {right}");
+    }
+
+    #[test]
+    fn the_input_is_enlarged_and_white_beyond_its_pixels() {
+        let (width, height) = (8, 6);
+        let frame = Frame {
+            index: 0,
+            x0: 10,
+            y0: 20,
+            width,
+            height,
+            rgb: [200, 10, 10].repeat((width * height) as usize),
+            mask: vec![255; (width * height) as usize],
+            keypoints: Vec::new(),
+        };
+        let picture = enlarged(&frame, [12.0, 22.0, 12.0]);
+        assert_eq!(picture.dimensions(), (SIDE_PX, SIDE_PX));
+        assert_eq!(picture.get_pixel(0, 0).0, [200, 10, 10]);
+        assert_eq!(picture.get_pixel(SIDE_PX - 1, SIDE_PX - 1).0, [255; 3]);
+    }
+}
