@@ -56,8 +56,7 @@ impl Motion {
     pub fn new(gpu: &Gpu, start: &[f32]) -> Self {
         let usual = acceleration(start.len() / 72);
         let (scale, max_change) = (POSE_ACCELERATION * usual, POSE_JUMP.into());
-        // An axis-angle vector of the root jumps at half a turn.
-        let pose = TemporalConfig { stride: 72, first: 3, scale, max_change };
+        let pose = TemporalConfig { stride: 72, first: 0, scale, max_change };
         let (scale, max_change) = (PLACE_ACCELERATION * usual, PLACE_JUMP.into());
         let transl = TemporalConfig { stride: 3, first: 0, scale, max_change };
         let anchor = AnchorConfig { scales: anchor_scales().as_flattened().to_vec() };

@@ -49,9 +49,10 @@ enum Command {
         buffer: wgpu::Buffer,
         bytes: u64,
     },
+    /// `from` and `to` with the byte at which each begins.
     Copy {
-        from: wgpu::Buffer,
-        to: wgpu::Buffer,
+        from: (wgpu::Buffer, u64),
+        to: (wgpu::Buffer, u64),
         bytes: u64,
     },
 }
@@ -128,14 +129,17 @@ impl<'g> Recorder<'g> {
         }
     }
 
-    /// Copies all of `from` to the start of `to`.
+    /// Copies the values `range` of `from` to `to` from place `at` on.
     ///
     /// # Panics
-    /// When `to` is shorter.
-    pub fn copy<T>(&mut self, from: &Buffer<T>, to: &Buffer<T>) {
-        assert!(from.len() <= to.len(), "{} does not fit {}", from.label(), to.label());
-        let bytes = (from.len() * size_of::<T>()).next_multiple_of(4) as u64;
-        self.commands.push(Command::Copy { from: from.raw.clone(), to: to.raw.clone(), bytes });
+    /// When either is shorter, or the values are not whole words.
+    pub fn copy<T>(&mut self, from: &Buffer<T>, range: Range<usize>, to: &Buffer<T>, at: usize) {
+        let len = range.len();
+        assert!(range.end <= from.len(), "{}: values {range:?} of {}", from.label(), from.len());
+        assert!(at + len <= to.len(), "{}: {len} values at {at} of {}", to.label(), to.len());
+        let [start, at, bytes] = [range.start, at, len].map(|n| (n * size_of::<T>()) as u64);
+        assert!([start, at, bytes].iter().all(|b| b.is_multiple_of(4)), "{}: no whole words", from.label());
+        self.commands.push(Command::Copy { from: (from.raw.clone(), start), to: (to.raw.clone(), at), bytes });
     }
 
     /// Hands everything to the device, in order. Does not wait.
@@ -200,7 +204,9 @@ impl<'g> Recorder<'g> {
         while let Some(first) = commands.get(at) {
             match first {
                 Command::Clear { buffer, bytes } => encoder.clear_buffer(buffer, 0, Some(*bytes)),
-                Command::Copy { from, to, bytes } => encoder.copy_buffer_to_buffer(from, 0, to, 0, *bytes),
+                Command::Copy { from, to, bytes } => {
+                    encoder.copy_buffer_to_buffer(&from.0, from.1, &to.0, to.1, *bytes);
+                }
                 Command::Dispatch { .. } => {
                     let other = commands[at..].iter().position(|c| !matches!(c, Command::Dispatch { .. }));
                     let end = other.map_or(commands.len(), |n| at + n);

@@ -15,10 +15,12 @@ pub fn result(best: &Candidate, body: &Body, capture: &Capture, mut report: Stag
     let rest_pelvis = best.problem.rig.rest_joints(&state.shared.betas)[0];
     let mut poses = Vec::with_capacity(state.frames.len());
     let mut transl = Vec::with_capacity(state.frames.len());
+    let mut root = DVec3::ZERO;
     for frame in &state.frames {
+        root = rotation::log_near(to_world * frame.root, root);
         let mut pose = [0.0; 3 * N_JOINTS];
         for (j, slot) in pose.chunks_exact_mut(3).enumerate() {
-            let angles = if j == 0 { rotation::log(to_world * frame.root) } else { frame.theta[j] };
+            let angles = if j == 0 { root } else { frame.theta[j] };
             slot.copy_from_slice(&angles.as_vec3().to_array());
         }
         poses.push(pose);
