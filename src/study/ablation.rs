@@ -57,6 +57,7 @@ const CHANGES: &[Change] = &[
     Change { name: "poses step frame by frame", apply: |config| config.pose_smoothing = 0.0 },
     Change { name: "the shape stands in stage 2", apply: |config| *config = config.clone().with_shape_standing() },
     Change { name: "β and poses before D", apply: naked_first },
+    Change { name: "all in one stage", apply: |config| *config = config.clone().joint() },
     Change { name: "no keypoints of hips", apply: |config| config.hip_keypoints = false },
 ];
 
