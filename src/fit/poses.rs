@@ -172,7 +172,7 @@ mod tests {
         let Some(gpu) = gpu("fit::poses::the_ends_of_a_clip_follow_a_slope_as_its_middle_does") else { return };
         let n = 30;
         let wanted: Vec<f32> = (0..3 * n).map(|i| 0.01 * (i / 3) as f32 - 0.15).collect();
-        let mut group = Group::per_frame(&gpu, "test", &vec![0.0; 3 * n], 3, AdamConfig::default());
+        let group = Group::per_frame(&gpu, "test", &vec![0.0; 3 * n], 3, AdamConfig::default());
         let mut chain = SmoothInTime::new(&gpu, &vec![0.0; 3 * n], 1, 1.0, 4.0);
         let mut off = vec![0.0; 3 * n];
         for step in 0..150 {
@@ -180,7 +180,7 @@ mod tests {
             off = values.iter().zip(&wanted).map(|(x, w)| x - w).collect();
             gpu.write(&group.grads, 0, &off);
             let mut recorder = gpu.recorder("fit/poses/test");
-            chain.step(&mut recorder, &mut group, 1e-2 * 0.98f32.powi(step));
+            chain.step(&mut recorder, &group, 1e-2 * 0.98f32.powi(step));
             recorder.submit().unwrap();
         }
         let most =
