@@ -17,6 +17,8 @@ mod texture;
 mod trace;
 mod video;
 
+/// What [`AvatarModel::posed`] gives.
+pub use crate::ops::skinning::cpu::Posed;
 pub use atlas::{BakeError, UvLayout, bake};
 pub use export::ExportError;
 pub use gltf::{Texture, write_glb};

@@ -116,14 +116,22 @@ fn a_clip_becomes_an_avatar_that_looks_like_the_person() {
     assert!(!codes.contains(&"focal_contradicted"), "{codes:?}");
     assert_eq!(quality["frames"].as_array().unwrap().len(), 12);
     let page = std::fs::read_to_string(folder.path().join("out/report.html")).unwrap();
-    for shown in ["few_frames", "Stage 1", "Stage 2", "face area", "frame 11", "the avatar from ten sides", "geometry"]
-    {
+    for shown in [
+        "few_frames",
+        "Stage 1",
+        "Stage 2",
+        "face area",
+        "frame 11",
+        "the avatar from ten sides",
+        "geometry",
+        "left hand: input",
+    ] {
         assert!(page.contains(shown), "report.html does not show `{shown}`");
     }
     let pictures = page.matches("<img").count();
     assert!(
-        (6..=9).contains(&pictures),
-        "a turntable, five spread frames and those of three worst that are none: {pictures}"
+        (11..=14).contains(&pictures),
+        "a turntable, five spread frames, those of three worst that are none, five close-ups: {pictures}"
     );
     let unseen = quality["surface"]["unseen_area"].as_f64().unwrap();
     assert!(unseen > 0.0 && unseen < 0.5, "soles and armpits are not seen, most else is: {unseen}");

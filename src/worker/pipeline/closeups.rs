@@ -5,9 +5,8 @@ use image::{Rgb, RgbImage};
 
 use super::PipelineError;
 use super::score::spec_of;
-use crate::avatar::{AvatarModel, RenderSpec, Renderer};
+use crate::avatar::{AvatarModel, Posed, RenderSpec, Renderer};
 use crate::capture::{Capture, Frame};
-use crate::ops::skinning::cpu::Posed;
 use crate::page::{inline_jpeg, over, strip};
 
 /// Side of a picture.
