@@ -27,5 +27,5 @@ pub use motion::write_motion;
 pub use pose::{Pose, vertex_normals};
 pub use render::{Background, Light, Place, RenderError, RenderSpec, Renderer};
 pub use texture::SurfaceTexture;
-pub use trace::{MAX_SIDE_PX, Picture, Shading, SurfacePoint, Tracer};
+pub use trace::{MAX_SIDE_PX, Picture, Shading, SurfacePoint, Tracer, view_space};
 pub use video::{Quality, VideoError, VideoWriter};

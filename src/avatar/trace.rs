@@ -243,7 +243,7 @@ impl Tracer {
 
 /// World to camera space, then the lens: a distorted camera sees each point where the undistorted one sees the result.
 /// Points outside the lens's field, where its polynomial turns back, end behind the camera and are not drawn.
-fn view_space(vertices: &[[f32; 3]], camera: &Camera) -> Vec<[f32; 3]> {
+pub fn view_space(vertices: &[[f32; 3]], camera: &Camera) -> Vec<[f32; 3]> {
     let rotation = DMat3::from_cols_array(&camera.rotation).transpose();
     let translation = DVec3::from(camera.translation);
     let [k1, k2, p1, p2, k3] = camera.distortion;

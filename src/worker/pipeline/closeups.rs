@@ -5,7 +5,8 @@ use image::{Rgb, RgbImage};
 
 use super::PipelineError;
 use super::score::spec_of;
-use crate::avatar::{AvatarModel, Posed, RenderSpec, Renderer};
+use crate::avatar::{AvatarModel, Posed, RenderSpec, Renderer, view_space};
+use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::page::{inline_jpeg, over, strip};
 
@@ -46,7 +47,7 @@ pub(super) fn closeups(renderer: &Renderer, capture: &Capture) -> Result<Vec<(St
     let posed: Vec<Posed<f32>> = model.poses.iter().zip(&model.transl).map(|(p, t)| model.posed(p, *t)).collect();
     let mut shown = Vec::new();
     for part in &PARTS {
-        let worth = |k: &usize| part.best.worth(&posed[*k], part.joints[0]);
+        let worth = |k: &usize| part.best.worth(&posed[*k], part.joints[0], &model.camera);
         let Some(k) = (0..posed.len()).max_by(|a, b| worth(a).total_cmp(&worth(b))) else { continue };
         let Some(square) = square(model, &posed[k], part.joints) else { continue };
         let frame = &capture.frames[k];
@@ -61,16 +62,17 @@ pub(super) fn closeups(renderer: &Renderer, capture: &Capture) -> Result<Vec<(St
 }
 
 impl Best {
-    /// How well a frame shows a part.
-    fn worth(self, posed: &Posed<f32>, joint: usize) -> f32 {
+    /// How well a frame shows a part to the camera.
+    fn worth(self, posed: &Posed<f32>, joint: usize, camera: &Camera) -> f32 {
         let at = posed.joints[joint];
+        // The third column is where the T-pose's front has turned to.
+        let before = std::array::from_fn(|r| at[r] + posed.transforms[joint].rotation[r][2]);
+        let seen = view_space(&[posed.joints[0], at, before], camera);
+        let towards: f32 = (0..3).map(|k| seen[1][k] * (seen[1][k] - seen[2][k])).sum();
         match self {
-            // The camera is the world's origin; the third column is where the T-pose's front has turned to.
-            Best::Front | Best::Back => {
-                let towards: f32 = (0..3).map(|r| -at[r] * posed.transforms[joint].rotation[r][2]).sum();
-                if matches!(self, Best::Front) { towards } else { -towards }
-            }
-            Best::Near => posed.joints[0][2] - at[2],
+            Best::Front => towards,
+            Best::Back => -towards,
+            Best::Near => seen[0][2] - seen[1][2],
         }
     }
 }
@@ -85,7 +87,8 @@ fn square(model: &AvatarModel, posed: &Posed<f32>, joints: &[usize]) -> Option<[
     };
     let camera = &model.camera;
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-    for (_, [x, y, z]) in posed.vertices.iter().enumerate().filter(|(v, p)| p[2] > 0.1 && follows(*v)) {
+    let seen = view_space(&posed.vertices, camera);
+    for (_, [x, y, z]) in seen.iter().enumerate().filter(|(v, p)| p[2] > 0.1 && follows(*v)) {
         let at = [camera.fx as f32 * x / z + camera.cx as f32, camera.fy as f32 * y / z + camera.cy as f32];
         (0..2).for_each(|k| (low[k], high[k]) = (low[k].min(at[k]), high[k].max(at[k])));
     }
@@ -135,11 +138,34 @@ mod tests {
     }
 
     #[test]
+    fn a_camera_that_stands_elsewhere_sees_the_part_where_it_is() {
+        let mut model = turning_avatar();
+        let of = |model: &AvatarModel| {
+            let posed = model.posed(&model.poses[0], model.transl[0]);
+            (square(model, &posed, &[15]).unwrap(), Best::Front.worth(&posed, 15, &model.camera))
+        };
+        let near = |a: f32, b: f32| (a - b).abs() < 1e-3;
+        let (plain, facing) = of(&model);
+        // The person as much further back as the camera: the same picture.
+        model.camera.translation = [0.2, -0.1, -1.0];
+        model.transl[0] = [model.transl[0][0] - 0.2, model.transl[0][1] + 0.1, model.transl[0][2] + 1.0];
+        let (moved, moved_facing) = of(&model);
+        assert!((0..3).all(|k| near(plain[k], moved[k])) && near(facing, moved_facing), "{plain:?}, {moved:?}");
+        // Upside down: the picture turned by 180° about its middle.
+        let mut model = turning_avatar();
+        model.camera.rotation = [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0];
+        let (turned, turned_facing) = of(&model);
+        let middle = [model.camera.cx as f32, model.camera.cy as f32];
+        assert!((0..2).all(|k| near(turned[k], 2.0 * middle[k] - plain[k] - plain[2])), "{plain:?}, {turned:?}");
+        assert!(near(facing, turned_facing) && facing > 0.0);
+    }
+
+    #[test]
     fn a_part_is_shown_from_its_own_side() {
         let model = turning_avatar();
         let posed: Vec<_> = model.poses.iter().zip(&model.transl).map(|(p, t)| model.posed(p, *t)).collect();
         let best = |best: Best, joint: usize| {
-            let worth = |k: &usize| best.worth(&posed[*k], joint);
+            let worth = |k: &usize| best.worth(&posed[*k], joint, &model.camera);
             (0..posed.len()).max_by(|a, b| worth(a).total_cmp(&worth(b))).unwrap()
         };
         // Turns of 0, 74°, 149°, 223° and 298°, the first towards the camera.
