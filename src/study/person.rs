@@ -90,7 +90,9 @@ impl Person {
     /// Poses and shape as stage 0 finds them in keypoints and masks. The fits that follow see the keypoints as it has
     /// understood them.
     pub fn start(&mut self, config: &FitConfig) -> Result<Fitted> {
-        let start = stage0::solve(&self.body, &self.capture, &Stage0Options::default(), &mut |_| true)?;
+        // Silhouettes alone shall not start from what colours tell.
+        let options = Stage0Options { use_pictures: false, ..Stage0Options::default() };
+        let start = stage0::solve(&self.body, &self.capture, &options, &mut |_| true)?;
         start.reread(&mut self.capture);
         let state = FitState::new(&self.body, start.betas, &start.poses, &start.transl, config.field, config.seed);
         Ok(Fitted { camera: start.camera, state })

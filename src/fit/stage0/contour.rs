@@ -2,16 +2,15 @@
 
 use std::collections::HashMap;
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 
-use super::landmarks::N_OFFSETS;
 use super::prior;
 use super::problem::{ContourPoint, Pinhole, Problem};
 use super::rig::{Point, Posed};
 use super::silhouette::{Field, Grid, fill};
 use super::state::State;
 use super::{Candidate, Clock, Stage0Error, Stage0Report, sides};
-use crate::body::{Body, N_JOINTS};
+use crate::body::Body;
 use crate::capture::{Capture, Frame};
 
 /// Times that outlines are matched anew.
@@ -57,7 +56,7 @@ pub fn refine(
     // Where detectors see a joint is settled by then. Clothes hang lower than the body: could they talk keypoints out of where
     // the hips are, hips would follow the crotch of the trousers.
     best.problem.offsets = best.state.shared.offsets;
-    best.problem.offset_sigma = [prior::SETTLED_OFFSET_SIGMA; N_OFFSETS];
+    best.problem.offset_sigma = best.problem.offset_sigma.map(|sigma| sigma.min(prior::SETTLED_OFFSET_SIGMA));
     best.scales.contour_weight = WEIGHT;
     let frames = best.state.frames.len() as f64;
     best.scales.shape_weight = (frames / FRAMES_ALIKE).max(1.0);
@@ -102,7 +101,7 @@ fn mask_field(frame: &Frame) -> Option<Field> {
     Field::new(grid, &mask_cells(frame, &grid))
 }
 
-fn shaped(body: &Body, state: &State) -> Vec<DVec3> {
+pub(super) fn shaped(body: &Body, state: &State) -> Vec<DVec3> {
     let betas: Vec<f32> = state.shared.betas.iter().map(|b| *b as f32).collect();
     let double = |v: [f32; 3]| DVec3::from_array(v.map(f64::from));
     body.shaped_vertices(&betas).into_iter().map(double).collect()
@@ -159,20 +158,7 @@ impl Outline<'_> {
 
     /// Every vertex in camera space.
     fn posed_vertices(&self, posed: &Posed) -> Vec<DVec3> {
-        let rest = posed.rest();
-        let maps: [(DMat3, DVec3); N_JOINTS] =
-            std::array::from_fn(|j| (posed.rotations[j], posed.positions[j] - posed.rotations[j] * rest[j]));
-        let place = |(v, p): (usize, &DVec3)| {
-            let mut total = DVec3::ZERO;
-            for (joint, weight) in self.body.lbs_joints[v].iter().zip(&self.body.lbs_weights[v]) {
-                if *weight > 0.0 {
-                    let (turn, shift) = &maps[*joint as usize];
-                    total += (*turn * *p + *shift) * f64::from(*weight);
-                }
-            }
-            total
-        };
-        self.shaped.iter().enumerate().map(place).collect()
+        posed.vertices(self.body, &self.shaped)
     }
 
     /// Vertices of the outline (`vertex`: the body's) and their places on the mask's edge.

@@ -8,6 +8,7 @@ use super::prior;
 use super::problem::{NEAR, Problem, Scales};
 use super::rotation;
 use super::state::{Frame, Layout, Shared, State};
+use super::tracks;
 
 /// Poses that came with the clip: the fit may move only this far from them (1σ; radians, metres).
 const ANCHOR_ANGLE: f64 = 0.02;
@@ -49,6 +50,11 @@ impl Problem {
             }
         }
         pull(self.layout.focal_column(), shared.log_focal, self.focal_sigma);
+        for (point, (offset, expected)) in shared.tracked.iter().zip(&self.tracks.expected).enumerate() {
+            for axis in 0..3 {
+                pull(self.layout.tracked_column(point) + axis, offset[axis] - expected[axis], tracks::OFFSET_SIGMA);
+            }
+        }
         cost
     }
 

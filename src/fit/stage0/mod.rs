@@ -1,9 +1,9 @@
-//! Stage 0: body pose, shape and place of a person who turns in front of one camera, from 2D keypoints and
-//! masks alone, on the CPU.
+//! Stage 0: body pose, shape and place of a person who turns in front of one camera, from 2D keypoints,
+//! masks and what can be followed from frame to frame, on the CPU.
 //!
 //! One nonlinear least-squares problem over all frames: keypoints under a Geman–McClure loss (Bogo et al. 2016),
-//! the mask's edge, a standing prior with joint limits, and smoothness that expects a steady turn
-//! (`problem`, `expectation`). Its normal equations are an arrow on a block tridiagonal and are solved directly (`normal`).
+//! the mask's edge, points that pictures show over many frames (`tracks`), a standing prior with joint limits, and smoothness
+//! that expects a steady turn (`problem`, `expectation`). Its normal equations are an arrow on a block tridiagonal and are solved directly (`normal`).
 //! Because the problem has many minima, it starts from a search over facings, directions of the turn and
 //! swapped sides (`placement`), and frames are read anew between the rounds of descent (`sides`).
 //!
@@ -31,6 +31,7 @@ mod state;
 mod synthetic;
 #[cfg(test)]
 mod tests;
+mod tracks;
 
 use crate::body::Body;
 use crate::camera::Camera;
@@ -44,6 +45,8 @@ use state::State;
 pub struct Stage0Options {
     /// Fit the outline to the masks after the keypoints.
     pub use_masks: bool,
+    /// Follow points from picture to picture, where the capture has colours.
+    pub use_pictures: bool,
     /// Most descent steps in one round.
     pub iterations: usize,
     /// The person's height in metres where somebody measured it: the one thing that a single camera cannot see.
@@ -52,7 +55,7 @@ pub struct Stage0Options {
 
 impl Default for Stage0Options {
     fn default() -> Self {
-        Self { use_masks: true, iterations: 12, height_m: None }
+        Self { use_masks: true, use_pictures: true, iterations: 12, height_m: None }
     }
 }
 
@@ -86,6 +89,8 @@ pub struct Stage0Report {
     pub swapped: Vec<usize>,
     /// Degrees from the first frame to the last; positive turns point the left side away first.
     pub turn_degrees: f32,
+    /// Points of the surface that were followed from frame to frame.
+    pub tracked_points: usize,
     /// Cost at the end of every round; rounds differ in their robust scales.
     pub costs: Vec<f64>,
     /// Mean overlap of the fitted outline with the masks, 0..1; 0 where masks were not used.
@@ -153,6 +158,7 @@ pub fn solve(
     let rounds = ROUGH_ROUNDS * candidates.len()
         + FINE_ROUNDS
         + offsets::ROUNDS
+        + if options.use_pictures { tracks::rounds(capture) } else { 0 }
         + if options.use_masks { contour::ROUNDS } else { 0 };
     let mut clock = Clock { progress, rounds, iterations: options.iterations.max(1), round: 0, step: 0 };
     for candidate in &mut candidates {
@@ -174,6 +180,10 @@ pub fn solve(
     report.costs.push(best.cost);
     if options.use_masks {
         contour::refine(&mut best, body, capture, &mut report, &mut clock)?;
+    }
+    if options.use_pictures {
+        report.tracked_points = tracks::refine(&mut best, body, capture, &mut clock)?;
+        report.costs.push(best.cost);
     }
     if !best.cost.is_finite() {
         return Err(Stage0Error::Diverged);

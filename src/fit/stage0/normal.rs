@@ -90,12 +90,17 @@ impl Normal {
         let mut schur = self.shared.clone();
         let mut shared: Vec<f64> = self.gradient_shared.iter().map(|g| -g).collect();
         damp(&mut schur, s, lambda);
+        // Unknowns of things first seen later have no share in a frame yet: its border's columns from here on are zero.
+        let mut seen = 0;
         for t in 0..n {
             let (before, from) = factors.split_at_mut(t * d * d);
             let factor = &mut from[..d * d];
             damp(factor, d, lambda);
             let (border_before, border_from) = border.split_at_mut(t * d * s);
             let (rhs_before, rhs_from) = rhs.split_at_mut(t * d);
+            let of_frame = &self.border[t * d * s..][..d * s];
+            let last = |row: &[f64]| row.iter().rposition(|v| *v != 0.0).map_or(0, |c| c + 1);
+            seen = of_frame.chunks_exact(s.max(1)).map(last).fold(seen, usize::max);
             if t > 0 {
                 // Y = O L⁻ᵀ of the frame before; S = H − Y Yᵀ, and the same for the right sides.
                 let link = &mut links[(t - 1) * d * d..][..d * d];
@@ -109,19 +114,20 @@ impl Normal {
                 for (i, row) in link.chunks_exact(d).enumerate() {
                     for (k, y) in row.iter().enumerate().filter(|(_, y)| **y != 0.0) {
                         rhs_from[i] -= y * previous_rhs[k];
-                        axpy(-y, &previous[k * s..][..s], &mut border_from[i * s..][..s]);
+                        axpy(-y, &previous[k * s..][..seen], &mut border_from[i * s..][..seen]);
                     }
                 }
             }
             cholesky(factor, d)?;
             let (z, b) = (&mut border_from[..d * s], &mut rhs_from[..d]);
             forward(factor, d, b);
-            forward_rows(factor, d, z, s);
-            for (row, value) in z.chunks_exact(s).zip(b.iter()) {
-                for i in 0..s {
-                    shared[i] -= row[i] * value;
-                    axpy(-row[i], &row[..=i], &mut schur[i * s..][..i + 1]);
-                }
+            forward_rows(factor, d, z, s, seen);
+            for (row, value) in z.chunks_exact(s.max(1)).zip(b.iter()) {
+                axpy(-value, &row[..seen], &mut shared[..seen]);
+            }
+            let rows: Vec<&[f64]> = z.chunks_exact(s.max(1)).map(|row| &row[..seen]).collect();
+            for four in rows.chunks(4) {
+                subtract_outer(&mut schur, s, four);
             }
         }
         cholesky(&mut schur, s)?;
@@ -193,13 +199,13 @@ fn forward(l: &[f64], n: usize, b: &mut [f64]) {
     }
 }
 
-/// `X = L⁻¹ B` in place for `B [n, s]`.
-fn forward_rows(l: &[f64], n: usize, b: &mut [f64], s: usize) {
+/// `X = L⁻¹ B` in place for the first `columns` of `B [n, s]`.
+fn forward_rows(l: &[f64], n: usize, b: &mut [f64], s: usize, columns: usize) {
     for i in 0..n {
         let (above, from) = b.split_at_mut(i * s);
-        let row = &mut from[..s];
+        let row = &mut from[..columns];
         for (k, value) in l[i * n..][..i].iter().enumerate() {
-            axpy(-value, &above[k * s..][..s], row);
+            axpy(-value, &above[k * s..][..columns], row);
         }
         let pivot = l[i * n + i];
         row.iter_mut().for_each(|v| *v /= pivot);
@@ -212,6 +218,24 @@ fn backward(l: &[f64], n: usize, b: &mut [f64]) {
         b[i] /= l[i * n + i];
         let value = b[i];
         axpy(-value, &l[i * n..][..i], &mut b[..i]);
+    }
+}
+
+/// `A −= Σ r rᵀ` over up to four rows, lower half of `A [n, n]`: together, since each pass over a large `A` costs more than the
+/// arithmetic.
+fn subtract_outer(a: &mut [f64], n: usize, rows: &[&[f64]]) {
+    let width = rows.first().map_or(0, |row| row.len());
+    for i in 0..width {
+        let to = &mut a[i * n..][..i + 1];
+        match rows {
+            [p, q, r, s] => {
+                let (x, y, z, w) = (p[i], q[i], r[i], s[i]);
+                for ((((t, p), q), r), s) in to.iter_mut().zip(*p).zip(*q).zip(*r).zip(*s) {
+                    *t -= x * p + y * q + z * r + w * s;
+                }
+            }
+            few => few.iter().for_each(|row| axpy(-row[i], &row[..=i], to)),
+        }
     }
 }
 

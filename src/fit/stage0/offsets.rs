@@ -11,7 +11,7 @@ use super::{Candidate, Clock, Stage0Error, prior};
 
 /// Parts whose keypoints are read alike.
 const TOGETHER: [&[Part]; 2] = [&[Part::Hip, Part::MidHip], &[Part::Shoulder]];
-/// By how much the cost may rise (log-odds). The narrow prior alone is worth `3 ln(25 mm / 2 mm)` = 7.6 where keypoints have
+/// By how much the cost may rise (log-odds). The narrow prior alone is worth `3 ln(25 mm / 0.3 mm)` = 13 where keypoints have
 /// no offset, less as far as they cannot tell.
 const MARGIN: f64 = 4.0;
 
@@ -26,12 +26,24 @@ pub fn settle(best: &mut Candidate, clock: &mut Clock<'_>) -> Result<(), Stage0E
     for parts in TOGETHER {
         let (state, cost, sigma) = (best.state.clone(), best.cost, best.problem.offset_sigma);
         for slot in parts.iter().filter_map(|part| part.offset()) {
-            best.problem.offset_sigma[slot] = prior::SETTLED_OFFSET_SIGMA;
+            best.problem.offset_sigma[slot] = prior::NO_OFFSET_SIGMA;
         }
         best.descend(1e-4, clock)?;
         if best.cost > cost + MARGIN {
             (best.state, best.cost, best.problem.offset_sigma) = (state, cost, sigma);
+        } else {
+            believe(best, parts);
         }
     }
     Ok(())
+}
+
+/// Joints of a rig tell as much as any other joint: they counted less because detectors place them elsewhere.
+fn believe(best: &mut Candidate, parts: &[Part]) {
+    let Candidate { problem, state, scales, cost, .. } = best;
+    for (k, landmark) in problem.landmarks.iter().enumerate().filter(|(_, l)| parts.contains(&l.part)) {
+        let share = landmark.part.weight();
+        problem.observations.iter_mut().for_each(|frame| frame[k].weight /= share);
+    }
+    *cost = problem.evaluate(state, scales, None);
 }

@@ -36,6 +36,8 @@ pub const STATURE_SIGMA: f64 = 0.08;
 pub const MEASURED_SIGMA: f64 = 0.005;
 /// Spread of fitted keypoint offsets, metres.
 pub const OFFSET_SIGMA: f64 = 0.025;
+/// The same where none is believed.
+pub const NO_OFFSET_SIGMA: f64 = 0.0003;
 /// Spread of what masks may change about them.
 pub const SETTLED_OFFSET_SIGMA: f64 = 0.002;
 

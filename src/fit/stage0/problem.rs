@@ -7,6 +7,7 @@ use super::normal::Normal;
 use super::prior::{self, Prior};
 use super::rig::{Point, PointJacobian, Posed, Rig};
 use super::state::{Frame, Layout, Shared, State};
+use super::tracks::{self, Tracks};
 
 /// A pinhole without distortion, the person in camera space.
 #[derive(Clone, Copy, Debug)]
@@ -65,6 +66,8 @@ pub struct Scales {
     /// σ of contours outside and inside the mask: clothes and hair make masks larger than the naked body.
     pub contour_outside_px: f64,
     pub contour_inside_px: f64,
+    /// σ of a tracked point.
+    pub track_px: f64,
     /// Information of the priors of shape and stature: more than 1 where the evidence errs alike in all frames.
     pub shape_weight: f64,
     pub stature_weight: f64,
@@ -106,6 +109,8 @@ pub struct Problem {
     pub surface: Vec<Point>,
     /// `[N]`, empty before masks are used.
     pub contours: Vec<Vec<ContourPoint>>,
+    /// None before pictures are looked at.
+    pub tracks: Tracks,
     pub anchor: Option<Vec<Frame>>,
 }
 
@@ -161,6 +166,7 @@ impl Problem {
             let look = Look { t, posed: &posed, state, camera: &camera, scales };
             cost += self.keypoints(&look, &mut rows, normal.as_deref_mut());
             cost += self.outline(&look, &mut rows, normal.as_deref_mut());
+            cost += self.sightings(&look, &mut rows, normal.as_deref_mut());
             cost += match &self.anchor {
                 Some(anchor) => self.anchored(t, frame, &anchor[t], normal.as_deref_mut()),
                 None => self.pose_prior(t, frame, normal.as_deref_mut()),
@@ -190,14 +196,9 @@ impl Problem {
         for (k, seen) in self.observations[t].iter().enumerate().filter(|(_, o)| o.weight > 0.0) {
             let offset = offset_of(&self.landmarks[k], &state.shared);
             let place = if normal.is_some() {
-                self.rig.differentiate(
-                    posed,
-                    &self.points[k],
-                    &state.shared.betas,
-                    offset,
-                    &self.layout,
-                    &mut rows.jacobian,
-                )
+                let offset = offset.map(|(slot, value, factors)| (self.layout.offset_column(slot), value, factors));
+                let (point, jacobian) = (&self.points[k], &mut rows.jacobian);
+                self.rig.differentiate(posed, point, &state.shared.betas, offset, &self.layout, jacobian)
             } else {
                 let added = offset.map_or(DVec3::ZERO, |(_, value, factors)| value * factors);
                 posed.place(&self.points[k], &state.shared.betas, added)
@@ -208,6 +209,35 @@ impl Problem {
             cost += seen.weight * value;
             if let Some(normal) = normal.as_deref_mut() {
                 let weight = seen.weight * influence * information;
+                let [u, v] = camera.slopes(place);
+                rows.along(u, self.layout.focal_column(), image.x - camera.cx);
+                normal.add(t, &rows.frame, &rows.shared, error.x, weight);
+                rows.along(v, self.layout.focal_column(), image.y - camera.cy);
+                normal.add(t, &rows.frame, &rows.shared, error.y, weight);
+            }
+        }
+        cost
+    }
+
+    fn sightings(&self, look: &Look, rows: &mut Rows, mut normal: Option<&mut Normal>) -> f64 {
+        let Look { t, posed, state, camera, scales } = *look;
+        let mut cost = 0.0;
+        let information = 1.0 / (scales.track_px * scales.track_px);
+        for sighting in self.tracks.sightings.get(t).into_iter().flatten() {
+            let (point, added) = (&self.tracks.points[sighting.point], state.shared.tracked[sighting.point]);
+            let place = if normal.is_some() {
+                let offset = (self.layout.tracked_column(sighting.point), added, DVec3::ONE);
+                let jacobian = &mut rows.jacobian;
+                self.rig.differentiate(posed, point, &state.shared.betas, Some(offset), &self.layout, jacobian)
+            } else {
+                posed.place(point, &state.shared.betas, added)
+            };
+            let image = camera.project(place);
+            let error = image - sighting.at;
+            let (value, influence) = geman_mcclure(error.length_squared() * information, tracks::RHO);
+            cost += tracks::WEIGHT * value;
+            if let Some(normal) = normal.as_deref_mut() {
+                let weight = tracks::WEIGHT * influence * information;
                 let [u, v] = camera.slopes(place);
                 rows.along(u, self.layout.focal_column(), image.x - camera.cx);
                 normal.add(t, &rows.frame, &rows.shared, error.x, weight);

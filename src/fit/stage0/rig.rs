@@ -111,7 +111,7 @@ impl Rig {
         posed
     }
 
-    /// The point and how it moves. `offset`: slot and value of a fitted displacement in the zero pose, and the
+    /// The point and how it moves. `offset`: first column and value of a fitted displacement in the zero pose, and the
     /// factors of its axes (x is mirrored on the right, absent in the middle).
     pub fn differentiate(
         &self,
@@ -162,10 +162,10 @@ impl Rig {
             out.frame.push((Layout::PELVIS + axis, DVec3::AXES[axis]));
         }
         out.shared.extend(shape.iter().enumerate().map(|(b, slope)| (layout.beta_column(b), *slope)));
-        if let Some((slot, _, factors)) = offset {
+        if let Some((column, _, factors)) = offset {
             for axis in 0..3 {
                 if factors[axis] != 0.0 {
-                    out.shared.push((layout.offset_column(slot) + axis, turned.col(axis) * factors[axis]));
+                    out.shared.push((column + axis, turned.col(axis) * factors[axis]));
                 }
             }
         }
@@ -180,9 +180,21 @@ impl Influence {
 }
 
 impl Posed {
-    /// Joints in the zero pose.
-    pub fn rest(&self) -> &[DVec3; N_JOINTS] {
-        &self.rest
+    /// Every vertex in camera space. `shaped [V]`: in the zero pose.
+    pub fn vertices(&self, body: &Body, shaped: &[DVec3]) -> Vec<DVec3> {
+        let maps: [(DMat3, DVec3); N_JOINTS] =
+            std::array::from_fn(|j| (self.rotations[j], self.positions[j] - self.rotations[j] * self.rest[j]));
+        let place = |(v, p): (usize, &DVec3)| {
+            let mut total = DVec3::ZERO;
+            for (joint, weight) in body.lbs_joints[v].iter().zip(&body.lbs_weights[v]) {
+                if *weight > 0.0 {
+                    let (turn, shift) = &maps[*joint as usize];
+                    total += (*turn * *p + *shift) * f64::from(*weight);
+                }
+            }
+            total
+        };
+        shaped.iter().enumerate().map(place).collect()
     }
 
     /// Where the point is.

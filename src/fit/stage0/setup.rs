@@ -11,6 +11,7 @@ use super::problem::{Observation, Pinhole, Problem, Scales, Stature};
 use super::rig::{MOST_BETAS, Point, Rig};
 use super::sides;
 use super::state::{Frame, Layout, Shared, State};
+use super::tracks::Tracks;
 use super::{Candidate, Stage0Error};
 use crate::body::Body;
 use crate::capture::Capture;
@@ -68,6 +69,7 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         gaps,
         surface: Vec::new(),
         contours: Vec::new(),
+        tracks: Tracks::default(),
         anchor: None,
     })
 }
@@ -88,7 +90,7 @@ fn stature(body: &Body) -> Stature {
 }
 
 pub fn mean_shape(n_betas: usize) -> Shared {
-    Shared { betas: vec![0.0; n_betas], offsets: [DVec3::ZERO; N_OFFSETS], log_focal: 0.0 }
+    Shared { betas: vec![0.0; n_betas], offsets: [DVec3::ZERO; N_OFFSETS], tracked: Vec::new(), log_focal: 0.0 }
 }
 
 /// Wide scales for a first descent.
@@ -99,6 +101,7 @@ pub fn rough_scales(problem: &Problem, state: &State) -> Scales {
         contour_weight: 0.0,
         contour_outside_px: 1.0,
         contour_inside_px: 1.0,
+        track_px: 1.0,
         shape_weight: 1.0,
         stature_weight: 1.0,
     }

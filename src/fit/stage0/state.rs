@@ -26,6 +26,8 @@ pub struct Shared {
     pub betas: Vec<f64>,
     /// Displacements of keypoints on the body (left side), metres in the zero pose.
     pub offsets: [DVec3; N_OFFSETS],
+    /// `[P]`: displacements of the tracked points from their vertices, metres in the zero pose.
+    pub tracked: Vec<DVec3>,
     /// The focal length is `camera's · exp(log_focal)`.
     pub log_focal: f64,
 }
@@ -43,7 +45,7 @@ pub struct Step {
 }
 
 /// Columns of a frame: root 0–2 (a turn in the body's axes), pelvis 3–5, turn rate 6, then three for each
-/// joint that the prior lets move. Shared columns: betas, offsets, focal length.
+/// joint that the prior lets move. Shared columns: betas, offsets, focal length, then three for each tracked point.
 #[derive(Clone, Debug)]
 pub struct Layout {
     columns: [Option<usize>; N_JOINTS],
@@ -81,7 +83,16 @@ impl Layout {
     }
 
     pub fn focal_column(&self) -> usize {
-        self.n_shared - 1
+        self.n_betas + 3 * N_OFFSETS
+    }
+
+    pub fn tracked_column(&self, point: usize) -> usize {
+        self.focal_column() + 1 + 3 * point
+    }
+
+    /// Adds columns for `points` tracked points.
+    pub fn track(&mut self, points: usize) {
+        self.n_shared = self.tracked_column(points);
     }
 }
 
@@ -108,6 +119,9 @@ impl State {
         }
         for (slot, offset) in next.shared.offsets.iter_mut().enumerate() {
             *offset += vec3(&step.shared[layout.offset_column(slot)..]);
+        }
+        for (point, offset) in next.shared.tracked.iter_mut().enumerate() {
+            *offset += vec3(&step.shared[layout.tracked_column(point)..]);
         }
         next.shared.log_focal += step.shared[layout.focal_column()];
         next

@@ -46,6 +46,8 @@ pub struct Difficulty {
     pub format: &'static str,
     /// With masks of the naked body.
     pub masks: bool,
+    /// With masks: also with pictures, of a body with a pattern all over.
+    pub painted: bool,
     pub seed: u64,
 }
 
@@ -69,6 +71,7 @@ impl Default for Difficulty {
             bias: 0.0,
             format: "coco17",
             masks: false,
+            painted: false,
             seed: 1,
         }
     }
@@ -128,7 +131,8 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
     let marks = landmarks(how.format).unwrap();
     let points: Vec<Point> =
         body.keypoint_set(how.format).unwrap().points.iter().map(|source| Point::new(body, source)).collect();
-    let shared = Shared { betas: how.betas.clone(), offsets: [DVec3::ZERO; N_OFFSETS], log_focal: 0.0 };
+    let shared =
+        Shared { betas: how.betas.clone(), offsets: [DVec3::ZERO; N_OFFSETS], tracked: Vec::new(), log_focal: 0.0 };
     let centre = f64::from(SIDE_PX) / 2.0;
     let pinhole = Pinhole { fx: FOCAL_PX, fy: FOCAL_PX, cx: centre, cy: centre };
     let mut rng = Pcg32::seed_from_u64(how.seed);
@@ -169,10 +173,14 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
         let mut frame =
             Frame { index: t as u32, x0: 0, y0: 0, width: 0, height: 0, rgb: Vec::new(), mask: Vec::new(), keypoints };
         if how.masks {
-            let image: Vec<DVec2> = (0..body.n_vertices())
-                .map(|v| pinhole.project(posed.place(&Point::vertex(body, v), &shared.betas, DVec3::ZERO)))
+            let places: Vec<DVec3> = (0..body.n_vertices())
+                .map(|v| posed.place(&Point::vertex(body, v), &shared.betas, DVec3::ZERO))
                 .collect();
+            let image: Vec<DVec2> = places.iter().map(|p| pinhole.project(*p)).collect();
             add_mask(&mut frame, &image, &body.faces);
+            if how.painted {
+                paint(&mut frame, body, &image, &places);
+            }
         }
         frames.push(frame);
     }
@@ -211,6 +219,43 @@ fn add_mask(frame: &mut Frame, image: &[DVec2], faces: &[[u32; 3]]) {
     frame.mask = fill(&grid, image, faces).into_iter().map(|inside| if inside { 255 } else { 0 }).collect();
 }
 
+/// Fills the mask with a pattern that sticks to the body.
+fn paint(frame: &mut Frame, body: &Body, image: &[DVec2], places: &[DVec3]) {
+    let (width, height) = (frame.width as usize, frame.height as usize);
+    let origin = DVec2::new(frame.x0.into(), frame.y0.into());
+    let mut nearest = vec![f64::INFINITY; width * height];
+    frame.rgb = vec![0; 3 * width * height];
+    let pattern = |p: DVec3| {
+        let wave = |d: DVec3, length: f64| (std::f64::consts::TAU * p.dot(d) / length).sin();
+        let (a, b, c) = (DVec3::new(1.0, 0.3, 0.4), DVec3::new(-0.4, 1.0, 0.2), DVec3::new(0.3, -0.5, 1.0));
+        (128.0 + 40.0 * (wave(a, 0.07) * wave(b, 0.09) + wave(b, 0.06) * wave(c, 0.08) + wave(c, 0.13))) as u8
+    };
+    for face in &body.faces {
+        let [a, b, c] = face.map(|v| image[v as usize] - origin);
+        let area = (b - a).perp_dot(c - a);
+        if area == 0.0 {
+            continue;
+        }
+        let (low, high) = (a.min(b).min(c).floor().max(DVec2::ZERO), a.max(b).max(c).ceil());
+        for y in low.y as usize..(high.y.max(0.0) as usize).min(height) {
+            for x in low.x as usize..(high.x.max(0.0) as usize).min(width) {
+                let at = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                let weights =
+                    DVec3::new((b - at).perp_dot(c - at), (c - at).perp_dot(a - at), (a - at).perp_dot(b - at)) / area;
+                let mix = |of: &dyn Fn(u32) -> DVec3| {
+                    face.iter().zip(weights.to_array()).map(|(v, w)| of(*v) * w).sum::<DVec3>()
+                };
+                let depth = mix(&|v| places[v as usize]).z;
+                if weights.min_element() >= 0.0 && depth < nearest[y * width + x] {
+                    nearest[y * width + x] = depth;
+                    let rest = mix(&|v| DVec3::from_array(body.v_template[v as usize].map(f64::from)));
+                    frame.rgb[3 * (y * width + x)..][..3].fill(pattern(rest));
+                }
+            }
+        }
+    }
+}
+
 /// How far a result is from the truth.
 #[derive(Debug)]
 pub struct Errors {
@@ -227,6 +272,7 @@ pub fn errors(body: &Body, clip: &Clip, result: &Stage0Result) -> Errors {
     let shared = Shared {
         betas: result.betas.iter().map(|b| f64::from(*b)).collect(),
         offsets: [DVec3::ZERO; N_OFFSETS],
+        tracked: Vec::new(),
         log_focal: 0.0,
     };
     let rest = rig.rest_joints(&shared.betas)[0];

@@ -1,11 +1,14 @@
 use glam::{DVec2, DVec3};
 
 use super::normal::Normal;
+use super::problem::Scales;
+use super::rig::Point;
 use super::rotation;
 use super::setup;
 use super::silhouette::{Field, Grid};
 use super::state::{Frame as Pose, Layout, State, Step};
 use super::synthetic::{self, Clip, Difficulty, Errors, clip, errors};
+use super::tracks::Sighting;
 use super::{Stage0Error, Stage0Options, Stage0Result, solve};
 use crate::body::Body;
 use crate::capture::KnownPoses;
@@ -100,9 +103,20 @@ fn slopes_agree_with_central_differences() {
     let mut state = State { frames: clip.poses.clone(), shared: setup::mean_shape(body.n_betas) };
     state.shared.betas = vec![0.4, -0.3, 0.2];
     state.shared.offsets[4] = DVec3::new(0.02, -0.01, 0.015);
+    problem.tracks.points = vec![Point::vertex(&body, 3), Point::vertex(&body, 40)];
+    problem.tracks.expected = vec![DVec3::ZERO, DVec3::new(0.01, 0.0, 0.02)];
+    let sighting = |point, x, y| Sighting { point, at: DVec2::new(x, y) };
+    problem.tracks.sightings = vec![
+        vec![],
+        vec![sighting(0, 262.0, 240.0)],
+        vec![sighting(0, 266.0, 240.0), sighting(1, 280.0, 300.0)],
+        vec![],
+    ];
+    problem.layout.track(2);
+    state.shared.tracked = vec![DVec3::new(0.01, 0.02, -0.01), DVec3::ZERO];
     state.frames[1].theta[4].x = -0.3;
     state.frames[2].theta[18] = DVec3::new(0.1, 0.4, -0.05);
-    let scales = setup::rough_scales(&problem, &state);
+    let scales = Scales { track_px: 30.0, ..setup::rough_scales(&problem, &state) };
     let layout: &Layout = &problem.layout;
     let mut normal = Normal::new(4, layout.n_frame, layout.n_shared);
     problem.evaluate(&state, &scales, Some(&mut normal));
@@ -129,7 +143,7 @@ fn slopes_agree_with_central_differences() {
 
 #[test]
 fn steps_of_the_block_solver_solve_the_whole_system() {
-    let (n, d, s) = (4, 3, 2);
+    let (n, d, s) = (4, 5, 7);
     let mut normal = Normal::new(n, d, s);
     let size = n * d + s;
     let mut dense = nalgebra::DMatrix::<f64>::zeros(size, size);
@@ -150,7 +164,8 @@ fn steps_of_the_block_solver_solve_the_whole_system() {
     for round in 0..60 {
         let t = round % n;
         let frame: Vec<(usize, f64)> = (0..d).map(|c| (c, next())).collect();
-        let shared: Vec<(usize, f64)> = (0..s).map(|c| (c, next())).collect();
+        // The first frames do not see the last unknowns.
+        let shared: Vec<(usize, f64)> = (0..s - 3 + t).map(|c| (c, next())).collect();
         let residual = next();
         normal.add(t, &frame, &shared, residual, 0.7);
         let whole = frame.iter().map(|(c, v)| (t * d + c, *v)).chain(shared.iter().map(|(c, v)| (n * d + c, *v)));

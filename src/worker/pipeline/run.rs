@@ -50,7 +50,7 @@ pub fn run(
     let measures = quality::measure(&capture);
     quality::settle_masks(&mut capture, &quality::edge_offsets(&measures));
     monitor.start(Stage::Pose)?;
-    let start = solve_poses(&body, &capture, input.options.height_m, &mut monitor)?;
+    let start = solve_poses(&body, &capture, &input.options, &mut monitor)?;
     let focal_ratio = focal_ratio(&body, &capture, &mut monitor);
     start.reread(&mut capture);
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
@@ -111,10 +111,11 @@ fn load_capture(input: &PipelineInput) -> Result<Capture, PipelineError> {
 fn solve_poses(
     body: &Body,
     capture: &Capture,
-    height_m: Option<f64>,
+    job: &JobOptions,
     monitor: &mut Monitor<'_>,
 ) -> Result<Stage0Result, PipelineError> {
-    let options = Stage0Options { height_m, ..Stage0Options::default() };
+    let use_pictures = job.preset != Preset::SilhouetteOnly;
+    let options = Stage0Options { height_m: job.height_m, use_pictures, ..Stage0Options::default() };
     let solved = stage0::solve(body, capture, &options, &mut |done| {
         monitor.tell(Stage::Pose, (done * 100.0) as u32, 100);
         monitor.go_on()
