@@ -109,7 +109,7 @@ pub struct Problem {
     pub surface: Vec<Point>,
     /// `[N]`, empty before masks are used.
     pub contours: Vec<Vec<ContourPoint>>,
-    /// None before pictures are looked at.
+    /// Empty before pictures are looked at.
     pub tracks: Tracks,
     pub anchor: Option<Vec<Frame>>,
 }

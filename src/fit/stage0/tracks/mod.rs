@@ -80,7 +80,6 @@ pub fn refine(
     best.problem.layout.track(found);
     best.state.shared.tracked = attached.expected.clone();
     best.problem.tracks = attached;
-    best.scales.track_px = MOST_NOISE * height;
     for _ in 0..ROUNDS {
         best.scales.track_px = noise(best, height);
         best.descend(1e-4, clock)?;
@@ -88,7 +87,7 @@ pub fn refine(
     Ok(found)
 }
 
-/// σ of one coordinate from the median distance, as [`sides::noise`] has it for keypoints.
+/// σ of one coordinate from the median distance, as [`sides::noise`] has it for keypoints; poses follow single points less.
 fn noise(best: &Candidate, height: f64) -> f64 {
     let Candidate { problem, state, .. } = best;
     let camera = problem.camera.zoomed(state.shared.log_focal);

@@ -48,7 +48,7 @@ fn what_looks_the_same_along_a_line_is_not_followed() {
     let texture_of = |frame: &Frame| texture(&Picture::new(frame, LEVELS).levels[0], place, 6);
     assert_eq!((texture_of(&flat), texture_of(&stripes)), (0.0, 0.0));
     assert!(texture_of(&known) > 3.0);
-    // Nine in ten pixels of a patch at the mask's edge lie outside of it.
+    // Beyond the mask's edge.
     assert_eq!(texture(&Picture::new(&known, LEVELS).levels[0], DVec2::new(76.0, 30.0), 6), 0.0);
     let (before, after) = (Picture::new(&stripes, LEVELS), Picture::new(&stripes, LEVELS));
     assert!(follow(&before, &after, place, 6).is_none());
