@@ -136,6 +136,18 @@ struct Look<'a> {
     scales: &'a Scales,
 }
 
+/// Where a frame shows a point, and how sure that is.
+struct Place<'a> {
+    point: &'a Point,
+    /// First column, value and the factors of the axes of its fitted displacement, see [`Rig::differentiate`].
+    offset: Option<(usize, DVec3, DVec3)>,
+    at: DVec2,
+    weight: f64,
+    sigma_px: f64,
+    /// Geman–McClure's ρ in multiples of σ.
+    rho: f64,
+}
+
 /// Buffers of one evaluation.
 #[derive(Default)]
 struct Rows {
@@ -190,62 +202,64 @@ impl Problem {
     }
 
     fn keypoints(&self, look: &Look, rows: &mut Rows, mut normal: Option<&mut Normal>) -> f64 {
-        let Look { t, posed, state, camera, scales } = *look;
+        let Look { t, state, scales, .. } = *look;
         let mut cost = 0.0;
-        let information = 1.0 / (scales.sigma_px * scales.sigma_px);
         for (k, seen) in self.observations[t].iter().enumerate().filter(|(_, o)| o.weight > 0.0) {
             let offset = offset_of(&self.landmarks[k], &state.shared);
-            let place = if normal.is_some() {
-                let offset = offset.map(|(slot, value, factors)| (self.layout.offset_column(slot), value, factors));
-                let (point, jacobian) = (&self.points[k], &mut rows.jacobian);
-                self.rig.differentiate(posed, point, &state.shared.betas, offset, &self.layout, jacobian)
-            } else {
-                let added = offset.map_or(DVec3::ZERO, |(_, value, factors)| value * factors);
-                posed.place(&self.points[k], &state.shared.betas, added)
+            let place = Place {
+                point: &self.points[k],
+                offset: offset.map(|(slot, value, factors)| (self.layout.offset_column(slot), value, factors)),
+                at: seen.at,
+                weight: seen.weight,
+                sigma_px: scales.sigma_px,
+                rho: scales.rho,
             };
-            let image = camera.project(place);
-            let error = image - seen.at;
-            let (value, influence) = geman_mcclure(error.length_squared() * information, scales.rho);
-            cost += seen.weight * value;
-            if let Some(normal) = normal.as_deref_mut() {
-                let weight = seen.weight * influence * information;
-                let [u, v] = camera.slopes(place);
-                rows.along(u, self.layout.focal_column(), image.x - camera.cx);
-                normal.add(t, &rows.frame, &rows.shared, error.x, weight);
-                rows.along(v, self.layout.focal_column(), image.y - camera.cy);
-                normal.add(t, &rows.frame, &rows.shared, error.y, weight);
-            }
+            cost += self.seen(look, &place, rows, normal.as_deref_mut());
         }
         cost
     }
 
     fn sightings(&self, look: &Look, rows: &mut Rows, mut normal: Option<&mut Normal>) -> f64 {
-        let Look { t, posed, state, camera, scales } = *look;
+        let Look { t, state, scales, .. } = *look;
         let mut cost = 0.0;
-        let information = 1.0 / (scales.track_px * scales.track_px);
         for sighting in self.tracks.sightings.get(t).into_iter().flatten() {
-            let (point, added) = (&self.tracks.points[sighting.point], state.shared.tracked[sighting.point]);
-            let place = if normal.is_some() {
-                let offset = (self.layout.tracked_column(sighting.point), added, DVec3::ONE);
-                let jacobian = &mut rows.jacobian;
-                self.rig.differentiate(posed, point, &state.shared.betas, Some(offset), &self.layout, jacobian)
-            } else {
-                posed.place(point, &state.shared.betas, added)
+            let n = sighting.point;
+            let place = Place {
+                point: &self.tracks.points[n],
+                offset: Some((self.layout.tracked_column(n), state.shared.tracked[n], DVec3::ONE)),
+                at: sighting.at,
+                weight: tracks::WEIGHT,
+                sigma_px: scales.track_px,
+                rho: tracks::RHO,
             };
-            let image = camera.project(place);
-            let error = image - sighting.at;
-            let (value, influence) = geman_mcclure(error.length_squared() * information, tracks::RHO);
-            cost += tracks::WEIGHT * value;
-            if let Some(normal) = normal.as_deref_mut() {
-                let weight = tracks::WEIGHT * influence * information;
-                let [u, v] = camera.slopes(place);
-                rows.along(u, self.layout.focal_column(), image.x - camera.cx);
-                normal.add(t, &rows.frame, &rows.shared, error.x, weight);
-                rows.along(v, self.layout.focal_column(), image.y - camera.cy);
-                normal.add(t, &rows.frame, &rows.shared, error.y, weight);
-            }
+            cost += self.seen(look, &place, rows, normal.as_deref_mut());
         }
         cost
+    }
+
+    /// A point of the body that a frame shows at a place.
+    fn seen(&self, look: &Look, place: &Place, rows: &mut Rows, normal: Option<&mut Normal>) -> f64 {
+        let Look { t, posed, state, camera, .. } = *look;
+        let Place { point, offset, at, weight, sigma_px, rho } = *place;
+        let information = 1.0 / (sigma_px * sigma_px);
+        let betas = &state.shared.betas;
+        let place = if normal.is_some() {
+            self.rig.differentiate(posed, point, betas, offset, &self.layout, &mut rows.jacobian)
+        } else {
+            posed.place(point, betas, offset.map_or(DVec3::ZERO, |(_, value, factors)| value * factors))
+        };
+        let image = camera.project(place);
+        let error = image - at;
+        let (value, influence) = geman_mcclure(error.length_squared() * information, rho);
+        if let Some(normal) = normal {
+            let pull = weight * influence * information;
+            let [u, v] = camera.slopes(place);
+            rows.along(u, self.layout.focal_column(), image.x - camera.cx);
+            normal.add(t, &rows.frame, &rows.shared, error.x, pull);
+            rows.along(v, self.layout.focal_column(), image.y - camera.cy);
+            normal.add(t, &rows.frame, &rows.shared, error.y, pull);
+        }
+        weight * value
     }
 
     fn outline(&self, look: &Look, rows: &mut Rows, mut normal: Option<&mut Normal>) -> f64 {
