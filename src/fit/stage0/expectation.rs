@@ -24,8 +24,8 @@ fn relative_place(p: DVec3) -> (DVec3, DMat3) {
 
 impl Problem {
     pub(super) fn shared_prior(&self, shared: &Shared, scales: &Scales, mut normal: Option<&mut Normal>) -> f64 {
-        let grown: f64 = self.stature.slopes.iter().zip(&shared.betas).map(|(s, b)| s * b).sum();
-        let taller = self.stature.template + grown - self.stature.expected;
+        let height = self.stature.of(&shared.betas);
+        let taller = height - self.stature.expected;
         let weight = scales.stature_weight / (self.stature.sigma * self.stature.sigma);
         let mut cost = 0.5 * weight * taller * taller;
         if let Some(normal) = normal.as_deref_mut() {
@@ -50,9 +50,27 @@ impl Problem {
             }
         }
         pull(self.layout.focal_column(), shared.log_focal, self.focal_sigma);
+        cost + self.tracked_prior(shared, height, normal)
+    }
+
+    /// In parts of the height: one in metres would favour small bodies, whose every displacement is small.
+    pub(super) fn tracked_prior(&self, shared: &Shared, height: f64, mut normal: Option<&mut Normal>) -> f64 {
+        let weight = 1.0 / (tracks::OFFSET_SIGMA * tracks::OFFSET_SIGMA);
+        let mut cost = 0.0;
+        let mut slopes = vec![(0, 0.0)];
+        slopes.extend((0..shared.betas.len()).map(|b| (self.layout.beta_column(b), 0.0)));
         for (point, (offset, expected)) in shared.tracked.iter().zip(&self.tracks.expected).enumerate() {
             for axis in 0..3 {
-                pull(self.layout.tracked_column(point) + axis, offset[axis] - expected[axis], tracks::OFFSET_SIGMA);
+                let relative = offset[axis] / height;
+                let unexpected = relative - expected[axis];
+                cost += 0.5 * weight * unexpected * unexpected;
+                if let Some(normal) = normal.as_deref_mut() {
+                    slopes[0] = (self.layout.tracked_column(point) + axis, 1.0 / height);
+                    for (slope, growth) in slopes[1..].iter_mut().zip(&self.stature.slopes) {
+                        slope.1 = -relative * growth / height;
+                    }
+                    normal.add(0, &[], &slopes, unexpected, weight);
+                }
             }
         }
         cost

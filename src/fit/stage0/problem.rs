@@ -83,6 +83,11 @@ pub struct Stature {
 }
 
 impl Stature {
+    /// Metres.
+    pub fn of(&self, betas: &[f64]) -> f64 {
+        self.template + self.slopes.iter().zip(betas).map(|(s, b)| s * b).sum::<f64>()
+    }
+
     /// Somebody measured the person.
     pub fn measured(&mut self, height: f64) {
         (self.expected, self.sigma) = (height, prior::MEASURED_SIGMA);

@@ -6,7 +6,7 @@ use super::rig::Point;
 use super::rotation;
 use super::setup;
 use super::silhouette::{Field, Grid};
-use super::state::{Frame as Pose, Layout, State, Step};
+use super::state::{Frame as Pose, Layout, Shared, State, Step};
 use super::synthetic::{self, Clip, Difficulty, Errors, clip, errors};
 use super::tracks::Sighting;
 use super::{Stage0Error, Stage0Options, Stage0Result, solve};
@@ -139,6 +139,28 @@ fn slopes_agree_with_central_differences() {
         let tolerance = 1e-4 * slope.abs().max(1.0);
         assert!((difference - slope).abs() < tolerance, "column {column}: {difference} and {slope}");
     }
+}
+
+#[test]
+fn what_is_expected_of_followed_points_is_the_same_at_every_size() {
+    let body = Body::test_body();
+    let clip = clip(&body, &Difficulty { frames: 2, ..Difficulty::default() });
+    let mut problem = setup::problem(&body, &clip.capture).unwrap();
+    let mut small = setup::mean_shape(body.n_betas);
+    small.betas = vec![0.4, -0.3, 0.2];
+    let mut large = small.clone();
+    large.betas[0] += 1.5;
+    let times = problem.stature.of(&large.betas) / problem.stature.of(&small.betas);
+    assert!((times - 1.0).abs() > 0.01, "{times}");
+    problem.tracks.points = vec![Point::vertex(&body, 3)];
+    problem.tracks.expected = vec![DVec3::new(0.01, 0.0, 0.02)];
+    problem.layout.track(1);
+    small.tracked = vec![DVec3::new(0.03, 0.02, -0.01)];
+    let cost = |shared: &Shared| problem.tracked_prior(shared, problem.stature.of(&shared.betas), None);
+    large.tracked = small.tracked.clone();
+    assert!((cost(&large) / cost(&small) - 1.0).abs() > 0.01);
+    large.tracked = vec![small.tracked[0] * times];
+    assert!((cost(&large) / cost(&small) - 1.0).abs() < 1e-9);
 }
 
 #[test]

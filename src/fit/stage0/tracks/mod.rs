@@ -23,8 +23,8 @@ const ROUNDS: usize = 2;
 pub const RHO: f64 = 2.0;
 /// Information of one sighting: errors of neighbouring frames are alike.
 pub const WEIGHT: f64 = 0.3;
-/// How far clothes and hair lift a point off the body, metres.
-pub const OFFSET_SIGMA: f64 = 0.03;
+/// How far clothes and hair lift a point off the body, over the person's height.
+pub const OFFSET_SIGMA: f64 = 0.018;
 /// Points at most: each adds three unknowns that all frames share.
 const POINTS: usize = 128;
 /// Points are not taken where a better one lies this near, over the person's height, within this part of the clip.
@@ -52,7 +52,7 @@ pub struct Sighting {
 #[derive(Default)]
 pub struct Tracks {
     pub points: Vec<Point>,
-    /// `[P]`: the displacement from the vertex in the zero pose that the frame in which it was met says, metres.
+    /// `[P]`: the displacement from the vertex in the zero pose that the frame in which it was met says, over the person's height.
     pub expected: Vec<DVec3>,
     /// `[N]`
     pub sightings: Vec<Vec<Sighting>>,
@@ -78,7 +78,8 @@ pub fn refine(
         return Ok(0);
     }
     best.problem.layout.track(found);
-    best.state.shared.tracked = attached.expected.clone();
+    let stature = best.problem.stature.of(&best.state.shared.betas);
+    best.state.shared.tracked = attached.expected.iter().map(|expected| *expected * stature).collect();
     best.problem.tracks = attached;
     for _ in 0..ROUNDS {
         best.scales.track_px = noise(best, height);
@@ -152,6 +153,7 @@ fn attach(best: &Candidate, body: &Body, tracks: &[Track], height: f64) -> Track
     let n = state.frames.len();
     let camera = problem.camera.zoomed(state.shared.log_focal);
     let shaped = contour::shaped(body, state);
+    let stature = problem.stature.of(&state.shared.betas);
     let posed: Vec<Posed> = state.frames.iter().map(|frame| problem.rig.pose(frame, &state.shared)).collect();
     let surfaces: Vec<Surface> =
         posed.iter().map(|posed| Surface::new(body, &shaped, posed, |p| camera.project(p))).collect();
@@ -183,7 +185,7 @@ fn attach(best: &Candidate, body: &Body, tracks: &[Track], height: f64) -> Track
         let place = surfaces[middle].places[vertex];
         let ray = DVec3::new((at.x - camera.cx) / camera.fx, (at.y - camera.cy) / camera.fy, 1.0);
         let point = Point::vertex(body, vertex);
-        let expected = unposed(&posed[middle], &point, state, ray * place.z);
+        let expected = unposed(&posed[middle], &point, state, ray * place.z) / stature;
         chosen.push((point, expected, seen));
         taken.push((middle, at));
     }
