@@ -4,7 +4,6 @@
 struct Params {
     n_frames: u32,
     stride: u32,
-    first: u32,
     weight: f32,
     inverse_scale2: f32,
     max_change: f32,
@@ -33,7 +32,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let i = linear_index(id, groups, 64u);
     let frame = i / params.stride;
     let k = i % params.stride;
-    if frame >= params.n_frames || k < params.first {
+    if frame >= params.n_frames {
         return;
     }
     var pull = -2.0 * acceleration(frame, k) + acceleration(frame + 1u, k);

@@ -56,9 +56,9 @@ impl Motion {
     pub fn new(gpu: &Gpu, start: &[f32]) -> Self {
         let usual = acceleration(start.len() / 72);
         let (scale, max_change) = (POSE_ACCELERATION * usual, POSE_JUMP.into());
-        let pose = TemporalConfig { stride: 72, first: 0, scale, max_change };
+        let pose = TemporalConfig { stride: 72, scale, max_change };
         let (scale, max_change) = (PLACE_ACCELERATION * usual, PLACE_JUMP.into());
-        let transl = TemporalConfig { stride: 3, first: 0, scale, max_change };
+        let transl = TemporalConfig { stride: 3, scale, max_change };
         let anchor = AnchorConfig { scales: anchor_scales().as_flattened().to_vec() };
         Self {
             pose: Temporal::new(gpu, pose),

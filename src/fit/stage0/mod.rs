@@ -242,6 +242,10 @@ struct Clock<'a> {
 impl Clock<'_> {
     fn tick(&mut self) -> bool {
         self.step += 1;
+        self.goes_on()
+    }
+
+    fn goes_on(&mut self) -> bool {
         let rounds = self.round as f32 + self.step as f32 / self.iterations as f32;
         (self.progress)(rounds / self.rounds as f32)
     }

@@ -14,7 +14,7 @@ fn acceleration<T: Real>(config: &TemporalConfig, values: &[T], frame: usize, k:
 
 /// The penalty.
 pub fn forward<T: Real>(config: &TemporalConfig, values: &[T]) -> T {
-    let cells = (0..values.len() / config.stride).flat_map(|f| (config.first..config.stride).map(move |k| (f, k)));
+    let cells = (0..values.len() / config.stride).flat_map(|f| (0..config.stride).map(move |k| (f, k)));
     cells.map(|(f, k)| (acceleration(config, values, f, k) / T::of(config.scale)).powi(2)).sum()
 }
 
@@ -22,7 +22,7 @@ pub fn forward<T: Real>(config: &TemporalConfig, values: &[T]) -> T {
 pub fn backward<T: Real>(config: &TemporalConfig, values: &[T], weight: T, grads: &mut [T]) {
     let factor = T::of(2.0 / (config.scale * config.scale)) * weight;
     for frame in 0..values.len() / config.stride {
-        for k in config.first..config.stride {
+        for k in 0..config.stride {
             let mut pull =
                 T::of(-2.0) * acceleration(config, values, frame, k) + acceleration(config, values, frame + 1, k);
             if frame > 0 {

@@ -1,7 +1,7 @@
 use super::{Temporal, TemporalConfig, cpu};
 use crate::ops::testing::{assert_close, assert_gradient, gpu};
 
-const CONFIG: TemporalConfig = TemporalConfig { stride: 4, first: 1, scale: 0.3, max_change: 1.0 };
+const CONFIG: TemporalConfig = TemporalConfig { stride: 4, scale: 0.3, max_change: 1.0 };
 
 /// Seven frames of four numbers; the second number jumps once.
 fn motion() -> Vec<f64> {
@@ -21,13 +21,11 @@ fn the_gradient_is_that_of_the_penalty_also_beside_a_jump() {
 }
 
 #[test]
-fn steady_motion_and_left_out_numbers_cost_nothing() {
+fn steady_motion_costs_nothing() {
     let steady: Vec<f64> = (0..28).map(|i| (i / 4) as f64 * 0.2).collect();
     assert!(cpu::forward(&CONFIG, &steady) < 1e-20);
     let mut shaken = steady.clone();
     shaken[12] += 0.5;
-    assert!(cpu::forward(&CONFIG, &shaken) < 1e-20, "number 0 is left out");
-    shaken[13] += 0.5;
     assert!(cpu::forward(&CONFIG, &shaken) > 1.0);
 }
 

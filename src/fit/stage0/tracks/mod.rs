@@ -71,7 +71,7 @@ pub fn refine(
     clock: &mut Clock<'_>,
 ) -> Result<usize, Stage0Error> {
     let height = sides::height_px(&best.problem, &best.state);
-    let tracks = search::find(capture, height);
+    let tracks = search::find(capture, height, || clock.goes_on()).ok_or(Stage0Error::Stopped)?;
     let attached = attach(best, body, &tracks, height);
     let found = attached.points.len();
     if found == 0 {

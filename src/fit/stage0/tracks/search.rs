@@ -32,10 +32,11 @@ pub fn shows_pictures(capture: &Capture) -> bool {
     capture.frames.iter().all(|f| f.rgb.len() == 3 * f.mask.len() && !f.mask.is_empty())
 }
 
-/// Points that can be followed, those seen longest first. Frames without colours have none.
-pub fn find(capture: &Capture, height_px: f64) -> Vec<Track> {
+/// Points that can be followed, those seen longest first. Frames without colours have none. `None` where `goes_on`, asked before
+/// each frame, said no.
+pub fn find(capture: &Capture, height_px: f64, mut goes_on: impl FnMut() -> bool) -> Option<Vec<Track>> {
     if !shows_pictures(capture) {
-        return Vec::new();
+        return Some(Vec::new());
     }
     let frames = &capture.frames;
     let radius = (RADIUS * height_px).clamp(RADII.0, RADII.1).round() as i32;
@@ -43,6 +44,9 @@ pub fn find(capture: &Capture, height_px: f64) -> Vec<Track> {
     let (mut ended, mut alive): (Vec<Track>, Vec<Track>) = (Vec::new(), Vec::new());
     let mut before: Option<Picture> = None;
     for (t, frame) in frames.iter().enumerate() {
+        if !goes_on() {
+            return None;
+        }
         let now = Picture::new(frame, LEVELS);
         if let Some(before) = &before {
             for mut track in std::mem::take(&mut alive) {
@@ -64,7 +68,7 @@ pub fn find(capture: &Capture, height_px: f64) -> Vec<Track> {
     ended.extend(alive);
     ended.retain(|track| track.places.len() >= LEAST_FRAMES);
     ended.sort_by_key(|track| (std::cmp::Reverse(track.places.len()), track.first));
-    ended
+    Some(ended)
 }
 
 /// To the next frame, not farther than `most` pixels, if the way back leads to the same point.

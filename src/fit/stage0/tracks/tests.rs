@@ -62,12 +62,21 @@ fn painted(frames: usize) -> Difficulty {
 fn points_are_followed_over_many_frames_of_a_turn() {
     let body = Body::test_body();
     let mut clip = clip(&body, &painted(24));
-    let tracks = search::find(&clip.capture, 450.0);
+    let tracks = search::find(&clip.capture, 450.0, || true).unwrap();
     assert!(tracks.len() > 40, "{} points", tracks.len());
     assert!(tracks.windows(2).all(|pair| pair[0].places.len() >= pair[1].places.len()), "the longest first");
     assert!(tracks.iter().all(|track| track.first + track.places.len() <= 24));
+    let mut frames = 0;
+    let stops = || {
+        frames += 1;
+        frames < 5
+    };
+    assert!(search::find(&clip.capture, 450.0, stops).is_none() && frames == 5, "stops before the fifth frame");
     clip.capture.frames.iter_mut().for_each(|frame| frame.rgb.clear());
-    assert!(search::find(&clip.capture, 450.0).is_empty(), "without colours there is nothing to follow");
+    assert!(
+        search::find(&clip.capture, 450.0, || true).unwrap().is_empty(),
+        "without colours there is nothing to follow"
+    );
 }
 
 #[test]
