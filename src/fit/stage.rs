@@ -48,7 +48,7 @@ impl<'a> StageWork<'a> {
         if shape.is_none() {
             Shape::stand(scene, state)?;
         }
-        let keypoints = || KeypointTerm::new(gpu, inputs.body, inputs.capture, inputs.camera, config.hip_keypoints);
+        let keypoints = || KeypointTerm::new(gpu, inputs.body, inputs.capture, inputs.camera, config.keypoint_shares);
         Ok(Self {
             scene,
             config,
