@@ -39,16 +39,6 @@ impl Weights {
     }
 }
 
-/// How much of [`Weights::keypoints`] each kind of keypoint has. Outlines and colours place a limb to a part of a pixel, which a
-/// detector misses by several; how high the hips lie under clothes nothing else tells.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct KeypointShares {
-    /// Of elbows, wrists, knees, ankles and nose (paper §3.5).
-    pub limbs: f32,
-    /// Of the hips, as stage 0 has understood them.
-    pub hips: f32,
-}
-
 /// Learning rates (Adam), at the start of a stage.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Rates {
@@ -130,7 +120,8 @@ pub struct FitConfig {
     pub solve_face_colours: bool,
     /// The part of the clip over which steps of pose and placement are spread; 0: each frame steps for itself.
     pub pose_smoothing: f32,
-    pub keypoint_shares: KeypointShares,
+    /// Whether the keypoints of the hips count besides those of limbs and nose, as stage 0 has understood them.
+    pub hip_keypoints: bool,
     /// Whether the light is told from the albedo ([`crate::ops::light`]); else the colours hold both.
     pub light: bool,
     /// Whether the texture is told the colours of what no frame shows, by its surroundings and the body's other half.
@@ -186,12 +177,11 @@ impl FitConfig {
             silhouette_gradient: SilhouetteGradient::Edge,
             solve_face_colours: true,
             pose_smoothing: 1.0 / 30.0,
-            keypoint_shares: KeypointShares { limbs: 0.25, hips: 1.0 },
+            hip_keypoints: true,
             light: true,
             fill_unseen: true,
             rates: Rates {
-                // Stage 0 tells the skeleton by keypoints; here β would follow clothes that D can follow.
-                betas: 1e-3,
+                betas: 1e-2,
                 pose: 4e-3,
                 transl: 3e-3,
                 offsets: 1e-2,
@@ -258,8 +248,7 @@ impl FitConfig {
         config.frame_sampling = FrameSampling::Uniform;
         config.solve_face_colours = false;
         config.pose_smoothing = 0.0;
-        config.keypoint_shares = KeypointShares { limbs: 1.0, hips: 0.0 };
-        config.rates.betas = 1e-2;
+        config.hip_keypoints = false;
         config.geometry.weights.keypoints = 0.02;
         for weights in [&mut config.geometry.weights, &mut config.texture.weights] {
             (weights.motion, weights.anchor) = (0.0, 0.0);

@@ -1,6 +1,6 @@
-//! The keypoint loss of a frame, in pixels of the full-resolution image: limbs and nose (paper §3.5), and hips.
+//! The keypoint loss of a frame, in pixels of the full-resolution image: limbs and nose (paper §3.5), and hips where asked
+//! for. Under clothes nothing else tells how high the hips lie.
 
-use super::config::KeypointShares;
 use super::scene::Scene;
 use crate::body::{Body, KeypointSet};
 use crate::camera::Camera;
@@ -38,24 +38,15 @@ pub struct KeypointTerm {
 }
 
 impl KeypointTerm {
-    pub fn new(gpu: &Gpu, body: &Body, capture: &Capture, camera: &Camera, shares: KeypointShares) -> Option<Self> {
+    pub fn new(gpu: &Gpu, body: &Body, capture: &Capture, camera: &Camera, with_hips: bool) -> Option<Self> {
         let set: &KeypointSet = body.keypoint_set(&capture.keypoint_format)?;
         let (limbs, hips) = points_of(&capture.keypoint_format);
-        let share = |k: usize| {
-            if limbs.contains(&k) {
-                shares.limbs
-            } else if hips.contains(&k) {
-                shares.hips
-            } else {
-                0.0
-            }
-        };
-        let used = (0..set.points.len()).filter(|k| share(*k) > 0.0).count();
+        let used = if with_hips { [limbs, &hips].concat() } else { limbs.to_vec() };
         let n = set.points.len();
         let mut targets = Vec::with_capacity(capture.frames.len() * n * 3);
         for frame in &capture.frames {
             for (k, &[x, y, confidence]) in frame.keypoints.iter().enumerate() {
-                targets.extend([x, y, confidence * share(k)]);
+                targets.extend([x, y, if used.contains(&k) { confidence } else { 0.0 }]);
             }
         }
         let side = camera.width.max(camera.height) as f32;
@@ -70,7 +61,7 @@ impl KeypointTerm {
             screen: zeros("screen", 2 * n),
             grad_points: zeros("grad_points", 3 * n),
             grad_screen: zeros("grad_screen", 2 * n),
-            unit: 1.0 / (used.max(1) as f32 * (0.01 * side).powi(2)),
+            unit: 1.0 / (used.len() as f32 * (0.01 * side).powi(2)),
         })
     }
 

@@ -48,7 +48,7 @@ impl<'a> StageWork<'a> {
         if shape.is_none() {
             Shape::stand(scene, state)?;
         }
-        let keypoints = || KeypointTerm::new(gpu, inputs.body, inputs.capture, inputs.camera, config.keypoint_shares);
+        let keypoints = || KeypointTerm::new(gpu, inputs.body, inputs.capture, inputs.camera, config.hip_keypoints);
         Ok(Self {
             scene,
             config,

@@ -58,8 +58,7 @@ const CHANGES: &[Change] = &[
     Change { name: "the shape stands in stage 2", apply: |config| *config = config.clone().with_shape_standing() },
     Change { name: "β and poses before D", apply: naked_first },
     Change { name: "all in one stage", apply: |config| *config = config.clone().joint() },
-    Change { name: "keypoints of limbs as strong as of hips", apply: |config| config.keypoint_shares.limbs = 1.0 },
-    Change { name: "no keypoints of hips", apply: |config| config.keypoint_shares.hips = 0.0 },
+    Change { name: "no keypoints of hips", apply: |config| config.hip_keypoints = false },
 ];
 
 fn full_resolution(config: &mut FitConfig) {
@@ -69,9 +68,8 @@ fn full_resolution(config: &mut FitConfig) {
     }
 }
 
-/// The first passes without D, as if the person were naked: β must get far.
+/// The first passes without D, as if the person were naked.
 fn naked_first(config: &mut FitConfig) {
-    config.rates.betas = FitConfig::paper(config.seed).rates.betas;
     let first = &mut config.geometry.phases[0];
     let naked = first.epochs * 2 / 7;
     first.epochs -= naked;
