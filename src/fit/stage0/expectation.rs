@@ -24,8 +24,7 @@ fn relative_place(p: DVec3) -> (DVec3, DMat3) {
 
 impl Problem {
     pub(super) fn shared_prior(&self, shared: &Shared, scales: &Scales, mut normal: Option<&mut Normal>) -> f64 {
-        let height = self.stature.of(&shared.betas);
-        let taller = height - self.stature.expected;
+        let taller = self.stature.of(&shared.betas) - self.stature.expected;
         let weight = scales.stature_weight / (self.stature.sigma * self.stature.sigma);
         let mut cost = 0.5 * weight * taller * taller;
         if let Some(normal) = normal.as_deref_mut() {
@@ -50,11 +49,12 @@ impl Problem {
             }
         }
         pull(self.layout.focal_column(), shared.log_focal, self.focal_sigma);
-        cost + self.tracked_prior(shared, height, normal)
+        cost + self.tracked_prior(shared, normal)
     }
 
     /// In parts of the height: one in metres would favour small bodies, whose every displacement is small.
-    pub(super) fn tracked_prior(&self, shared: &Shared, height: f64, mut normal: Option<&mut Normal>) -> f64 {
+    pub(super) fn tracked_prior(&self, shared: &Shared, mut normal: Option<&mut Normal>) -> f64 {
+        let height = self.stature.of(&shared.betas);
         let weight = 1.0 / (tracks::OFFSET_SIGMA * tracks::OFFSET_SIGMA);
         let mut cost = 0.0;
         let mut slopes = vec![(0, 0.0)];

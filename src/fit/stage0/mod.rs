@@ -2,8 +2,9 @@
 //! masks and what can be followed from frame to frame, on the CPU.
 //!
 //! One nonlinear least-squares problem over all frames: keypoints under a Geman–McClure loss (Bogo et al. 2016),
-//! the mask's edge, points that pictures show over many frames (`tracks`), a standing prior with joint limits, and smoothness
-//! that expects a steady turn (`problem`, `expectation`). Its normal equations are an arrow on a block tridiagonal and are solved directly (`normal`).
+//! the mask's edge, points that pictures show over many frames (`tracks`), a standing prior with joint limits, and
+//! smoothness that expects a steady turn (`problem`, `expectation`). Its normal equations are an arrow on a block
+//! tridiagonal and are solved directly (`normal`).
 //! Because the problem has many minima, it starts from a search over facings, directions of the turn and
 //! swapped sides (`placement`), and frames are read anew between the rounds of descent (`sides`).
 //!

@@ -156,7 +156,7 @@ fn what_is_expected_of_followed_points_is_the_same_at_every_size() {
     problem.tracks.expected = vec![DVec3::new(0.01, 0.0, 0.02)];
     problem.layout.track(1);
     small.tracked = vec![DVec3::new(0.03, 0.02, -0.01)];
-    let cost = |shared: &Shared| problem.tracked_prior(shared, problem.stature.of(&shared.betas), None);
+    let cost = |shared: &Shared| problem.tracked_prior(shared, None);
     large.tracked = small.tracked.clone();
     assert!((cost(&large) / cost(&small) - 1.0).abs() > 0.01);
     large.tracked = vec![small.tracked[0] * times];
