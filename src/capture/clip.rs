@@ -8,7 +8,7 @@ use super::keypoints::{Keypoints, Point};
 use super::limits::{INSPECT_TIME, LOAD_TIME};
 use super::rectify::{Rect, Rectify};
 use super::source::{Picture, Pixels, Source};
-use super::{BadInput, Capture, CaptureError, Frame, KnownPoses, Part, calibration, keypoints, poses};
+use super::{BadInput, Capture, CaptureError, Frame, KnownPoses, Part, calibration, keypoints, poses, smoothing};
 use crate::camera::Camera;
 
 /// The files of an upload. Their names mean nothing: each is told by its content.
@@ -67,8 +67,8 @@ pub fn inspect(inputs: &CaptureInputs) -> Result<Inspection, CaptureError> {
 }
 
 impl Capture {
-    /// Decodes, checks, undistorts, scales, subsamples and crops a clip. Only the crops of the frames kept are ever in
-    /// memory together.
+    /// Decodes, checks, undistorts, scales, subsamples and crops a clip, and smooths its keypoints. Only the crops of the
+    /// frames kept are ever in memory together.
     pub fn load(inputs: &CaptureInputs, options: &CaptureOptions) -> Result<Self, CaptureError> {
         let mut clip = Clip::open(inputs, false, Instant::now() + LOAD_TIME)?;
         let kept = subsample(clip.keypoints.frames.len(), options.max_frames as usize);
@@ -91,6 +91,10 @@ impl Capture {
         let Some(rectify) = rectify else {
             return Err(BadInput::new(Part::Video, "0 frames could be read", "at least one frame").into());
         };
+        smoothing::smooth(&mut clip.points);
+        for frame in &mut frames {
+            frame.keypoints = rectified(&rectify, &clip.points[frame.index as usize]);
+        }
         Ok(Self {
             camera: rectify.camera,
             camera_estimated: clip.camera.is_none(),
@@ -117,7 +121,6 @@ struct Still<'a> {
     mask: &'a Picture,
     /// Of the mask's foreground.
     bounds: Option<Rect>,
-    points: Vec<Point>,
 }
 
 /// The parts of an upload, opened.
@@ -128,6 +131,8 @@ struct Clip {
     camera: Option<Camera>,
     poses: Option<KnownPoses>,
     size: (u32, u32),
+    /// `[N]`: of the person on the mask, for the frames that the walk has seen.
+    points: Vec<Vec<Point>>,
     warnings: Vec<String>,
 }
 
@@ -149,7 +154,7 @@ impl Clip {
         }
         let (poses, odd) = poses.map_or((None, Vec::new()), |(poses, odd)| (Some(poses), odd));
         warnings.extend(odd);
-        Ok(Self { video, masks, keypoints, camera, poses, size: (0, 0), warnings })
+        Ok(Self { video, masks, keypoints, camera, poses, size: (0, 0), points: Vec::new(), warnings })
     }
 
     fn fps(&self) -> f64 {
@@ -182,9 +187,9 @@ impl Clip {
                     if let (Some(poses), Some(bounds)) = (known, bounds) {
                         pose_check.look(index, poses, self.camera.as_ref(), bounds);
                     }
-                    let points = keypoint_check.choose(index, &self.keypoints, &mask);
+                    self.points.push(keypoint_check.choose(index, &self.keypoints, &mask));
                     if keep(index) {
-                        visit(self.size, Still { index, image: &image, mask: &mask, bounds, points })?;
+                        visit(self.size, Still { index, image: &image, mask: &mask, bounds })?;
                     }
                 }
                 (None, None) => break,
@@ -250,7 +255,17 @@ impl Clip {
     }
 }
 
-/// The rectified crop round the person: the mask's box, and a margin of 12 pixels and 4 % of its longer side.
+/// Uploaded points in the rectified images.
+fn rectified(rectify: &Rectify, points: &[Point]) -> Vec<[f32; 3]> {
+    let rectified = points.iter().map(|&[x, y, confidence]| {
+        let seen = if confidence > 0.0 { rectify.rectified_from_uploaded(x, y) } else { None };
+        seen.map_or([0.0; 3], |(x, y)| [x as f32, y as f32, confidence as f32])
+    });
+    rectified.collect()
+}
+
+/// The rectified crop round the person, without keypoints: the mask's box, and a margin of 12 pixels and 4 % of its longer
+/// side.
 fn cut_out(rectify: &Rectify, still: &Still<'_>, bounds: Rect) -> Result<Frame, BadInput> {
     let (width, height) = (rectify.camera.width, rectify.camera.height);
     let rough = rectify.bounds(bounds);
@@ -260,10 +275,6 @@ fn cut_out(rectify: &Rectify, still: &Still<'_>, bounds: Rect) -> Result<Frame, 
     };
     let margin = 12 + exact.width().max(exact.height()) / 25;
     let crop = exact.grown(margin, width, height);
-    let keypoints = still.points.iter().map(|&[x, y, confidence]| {
-        let seen = if confidence > 0.0 { rectify.rectified_from_uploaded(x, y) } else { None };
-        seen.map_or([0.0; 3], |(x, y)| [x as f32, y as f32, confidence as f32])
-    });
     Ok(Frame {
         index: still.index as u32,
         x0: crop.x0,
@@ -272,7 +283,7 @@ fn cut_out(rectify: &Rectify, still: &Still<'_>, bounds: Rect) -> Result<Frame, 
         height: crop.height(),
         rgb: rectify.rgb(still.image, crop),
         mask: rectify.mask(still.mask, crop),
-        keypoints: keypoints.collect(),
+        keypoints: Vec::new(),
     })
 }
 

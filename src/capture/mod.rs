@@ -18,6 +18,7 @@ mod openpose;
 pub mod parsers;
 mod poses;
 mod rectify;
+mod smoothing;
 mod source;
 #[cfg(test)]
 mod tests;
@@ -43,7 +44,8 @@ pub struct Frame {
     pub rgb: Vec<u8>,
     /// `[height, width]`, 255 inside the person.
     pub mask: Vec<u8>,
-    /// `[K]` x, y in pixels of the whole (undistorted, scaled) image, and confidence; confidence 0 = not seen.
+    /// `[K]` x, y in pixels of the whole (undistorted, scaled) image, smoothed in time, and confidence; confidence 0 = not
+    /// seen.
     pub keypoints: Vec<[f32; 3]>,
 }
 
