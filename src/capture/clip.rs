@@ -67,8 +67,8 @@ pub fn inspect(inputs: &CaptureInputs) -> Result<Inspection, CaptureError> {
 }
 
 impl Capture {
-    /// Decodes, checks, undistorts, scales, subsamples and crops a clip, and smooths its keypoints. Only the crops of the
-    /// frames kept are ever in memory together.
+    /// Decodes, checks, undistorts, scales, subsamples and crops a clip; keypoints of frames that are left out smooth those of
+    /// the others. Only the crops of the frames kept are ever in memory together.
     pub fn load(inputs: &CaptureInputs, options: &CaptureOptions) -> Result<Self, CaptureError> {
         let mut clip = Clip::open(inputs, false, Instant::now() + LOAD_TIME)?;
         let kept = subsample(clip.keypoints.frames.len(), options.max_frames as usize);
@@ -91,7 +91,9 @@ impl Capture {
         let Some(rectify) = rectify else {
             return Err(BadInput::new(Part::Video, "0 frames could be read", "at least one frame").into());
         };
-        smoothing::smooth(&mut clip.points);
+        if kept.len() < clip.points.len() {
+            smoothing::smooth(&mut clip.points);
+        }
         for frame in &mut frames {
             frame.keypoints = rectified(&rectify, &clip.points[frame.index as usize]);
         }

@@ -1,5 +1,6 @@
 //! Keypoints smoothed in time, over all frames of the video: a detector's noise is new in each frame, where a joint goes is
-//! not, and frames that a fit does not keep tell of it too.
+//! not, and frames that a fit does not keep tell of it too. What it keeps it had better see as it is: smoothed keypoints have
+//! errors in common with their neighbours', which the fit takes for new in each frame.
 
 use glam::{DMat3, DVec2, DVec3};
 
@@ -28,12 +29,16 @@ const MEDIAN_OF_NEAREST: f64 = 0.913;
 /// Part of the detections that a window is judged by: those that it tells best. The others may be wrong.
 const JUDGES: f64 = 0.75;
 
+/// A window may be worse than the best by this part: of windows that tell about as much, the narrowest bends a way least, and
+/// leaves neighbouring frames the least error in common.
+const AS_GOOD: f64 = 0.05;
+
 /// No noise is below this, pixels.
 const LEAST_NOISE: f64 = 0.05;
 
 /// Moves every seen point of `frames [N][K]` onto a parabola through its detections in the frames around (a robust local
-/// regression, Cleveland 1979). A point's window is the one whose parabolas tell best where detections lie that they were
-/// not fitted to. Confidences, unseen points and wrong detections stay.
+/// regression, Cleveland 1979). A point's window is the narrowest of those whose parabolas tell best where detections lie that
+/// they were not fitted to. Confidences, unseen points and wrong detections stay.
 pub(super) fn smooth(frames: &mut [Vec<Point>]) {
     let n_points = frames.first().map_or(0, Vec::len);
     if frames.len() < LEAST_FRAMES {
@@ -43,13 +48,19 @@ pub(super) fn smooth(frames: &mut [Vec<Point>]) {
         let track: Vec<Point> = frames.iter().map(|points| points[point]).collect();
         let Some(noise) = noise(&track) else { continue };
         let smoothed = HALF_WIDTHS.map(|half| Smoothed::new(&track, half, noise));
-        let best = smoothed.into_iter().min_by(|a, b| a.error.total_cmp(&b.error));
-        for (points, at) in frames.iter_mut().zip(best.iter().flat_map(|best| &best.places)) {
+        let chosen = &smoothed[narrowest(smoothed.each_ref().map(|smoothed| smoothed.error))];
+        for (points, at) in frames.iter_mut().zip(&chosen.places) {
             if let Some(at) = at {
                 points[point][..2].copy_from_slice(&at.to_array());
             }
         }
     }
+}
+
+/// Of windows with these errors, widening, the first that is as good as the best.
+fn narrowest(errors: [f64; HALF_WIDTHS.len()]) -> usize {
+    let least = errors.into_iter().fold(f64::INFINITY, f64::min);
+    errors.iter().position(|&error| error <= (1.0 + AS_GOOD) * least).unwrap_or(0)
 }
 
 fn place(point: &Point) -> DVec2 {
@@ -175,6 +186,13 @@ mod tests {
         }
         assert_eq!(noise(&[[1.0, 1.0, 1.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]]), None);
         assert_eq!(noise(&[[1.0, 1.0, 1.0]; 3]), Some(LEAST_NOISE));
+    }
+
+    #[test]
+    fn a_wider_window_has_to_tell_more() {
+        assert_eq!(narrowest([9.0, 6.0, 4.8, 4.15, 4.1, 4.0, 4.1, 6.0, 9.0]), 3);
+        assert_eq!(narrowest([1.0; 9]), 0);
+        assert_eq!(narrowest([f64::INFINITY; 9]), 0, "too little is seen");
     }
 
     #[test]

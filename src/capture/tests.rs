@@ -329,6 +329,27 @@ fn frames_are_thinned_and_scaled_with_their_keypoints_and_poses() {
 }
 
 #[test]
+fn keypoints_of_frames_that_are_left_out_smooth_the_others() {
+    let clip = Clip::new();
+    clip.video(&encode((0..30).map(|_| rgb(0)), "rgb24", &MP4));
+    clip.masks(&zip((0..30).map(|i| (format!("masks/{i}.png"), mask_png(0)))));
+    // As good as at random.
+    let noise = |i: usize| 1.5 * ((i * i) as f64).sin();
+    let detected = |i: usize| points(0).into_iter().map(move |[x, y, c]| [x + noise(i), y, c]).collect();
+    clip.keypoints(keypoint_json(&(0..30).map(detected).collect::<Vec<_>>()));
+    let errors = |max_frames| {
+        let capture = Capture::load(&clip.inputs, &CaptureOptions { max_frames, max_side_px: 96 }).unwrap();
+        capture.frames.iter().map(|f| f64::from(f.keypoints[5][0]) - points(0)[5][0]).collect::<Vec<f64>>()
+    };
+    let squares = |errors: &[f64]| errors.iter().map(|e| e * e).sum::<f64>();
+    let raw = errors(30);
+    assert!((0..30).all(|i| (raw[i] - noise(i)).abs() < 1e-4), "{raw:?}");
+    let (smoothed, thinned) = (errors(10), raw.iter().step_by(3).copied().collect::<Vec<_>>());
+    assert_eq!(smoothed.len(), thinned.len());
+    assert!(squares(&smoothed) < 0.5 * squares(&thinned), "{smoothed:?} of {thinned:?}");
+}
+
+#[test]
 fn openpose_files_of_several_people() {
     let clip = Clip::new();
     let numbers = |i: usize, dx: f64| -> Vec<f64> {

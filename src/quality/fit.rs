@@ -15,6 +15,10 @@ const VIEWS_DEGREES: [f64; 2] = [15.0, 110.0];
 /// Stage 0 finds focal lengths to some 7 %.
 const FOCAL_OFF: f64 = 1.13;
 
+/// A height is guessed between what proportions tell and what people usually have, so a guess that lies this far from the
+/// usual means a person much farther from it, metres.
+const HEIGHT_OFF_M: f64 = 0.06;
+
 /// What is known at the end of a fit.
 #[derive(Clone, Debug)]
 pub struct FitFindings<'a> {
@@ -30,11 +34,15 @@ pub struct FitFindings<'a> {
     pub camera_estimated: bool,
     /// The focal length that stage 0 finds when it is free to, over the given one.
     pub focal_ratio: Option<f64>,
+    /// The undressed body's height where it was guessed, and what it is expected to be, metres
+    pub guessed_height_m: Option<f64>,
+    pub usual_height_m: f64,
 }
 
 /// The flags that a fit raises.
 pub fn fit_flags(found: &FitFindings<'_>) -> Vec<Flag> {
-    let flags = [no_full_turn(found), focal(found), focal_contradicted(found), sides_swapped(found), fit_misses(found)];
+    let of_clip = [no_full_turn(found), focal(found), focal_contradicted(found), height_unusual(found)];
+    let flags = of_clip.into_iter().chain([sides_swapped(found), fit_misses(found)]);
     flags.into_iter().flatten().collect()
 }
 
@@ -87,6 +95,17 @@ fn focal_contradicted(found: &FitFindings<'_>) -> Option<Flag> {
     );
     let off = !(1.0 / FOCAL_OFF..=FOCAL_OFF).contains(&ratio);
     off.then(|| Flag::of_clip(Kind::FocalContradicted, message, ratio, limit))
+}
+
+fn height_unusual(found: &FitFindings<'_>) -> Option<Flag> {
+    let (guessed, usual) = (found.guessed_height_m?, found.usual_height_m);
+    let (limit, size) = match guessed < usual {
+        true => (usual - HEIGHT_OFF_M, "small"),
+        false => (usual + HEIGHT_OFF_M, "tall"),
+    };
+    let message =
+        format!("the proportions are those of somebody {size}; no height was given, {guessed:.2} m were guessed");
+    ((guessed - usual).abs() > HEIGHT_OFF_M).then(|| Flag::of_clip(Kind::HeightUnusual, message, guessed, limit))
 }
 
 fn sides_swapped(found: &FitFindings<'_>) -> Option<Flag> {
@@ -145,6 +164,8 @@ mod tests {
             camera: &camera,
             camera_estimated: false,
             focal_ratio: Some(0.95),
+            guessed_height_m: Some(1.68),
+            usual_height_m: 1.65,
         };
         assert_eq!(fit_flags(&good), []);
         let bad = FitFindings { iou: &iou, poses: &poses, swapped: &[20, 21], camera_estimated: true, ..good.clone() };
@@ -157,6 +178,12 @@ mod tests {
         let flags = fit_flags(&FitFindings { focal_ratio: Some(1.4), ..good.clone() });
         assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("focal_contradicted", 1.4)]);
         assert!(flags[0].message.contains("980 px") && flags[0].message.contains("given 700"), "{}", flags[0].message);
+        for (height, word) in [(1.57, "small"), (1.73, "tall")] {
+            let flags = fit_flags(&FitFindings { guessed_height_m: Some(height), ..good.clone() });
+            assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("height_unusual", height)]);
+            assert!(flags[0].message.contains(word), "{}", flags[0].message);
+        }
+        assert_eq!(fit_flags(&FitFindings { guessed_height_m: None, ..good.clone() }), []);
         let odd = Camera { fy: 4000.0, ..camera.clone() };
         let flags = fit_flags(&FitFindings { camera: &odd, ..good });
         assert_eq!(flags.iter().map(|f| f.code).collect::<Vec<_>>(), ["focal_suspicious"]);

@@ -21,13 +21,14 @@ pub enum Kind {
     FocalEstimated,
     FocalSuspicious,
     FocalContradicted,
+    HeightUnusual,
     Spikes,
     FlippedFaces,
     UnseenArea,
 }
 
 /// In the order in which reports show them.
-pub const KINDS: [Kind; 19] = [
+pub const KINDS: [Kind; 20] = [
     Kind::NoFullTurn,
     Kind::FewFrames,
     Kind::LowResolution,
@@ -35,6 +36,7 @@ pub const KINDS: [Kind; 19] = [
     Kind::FocalEstimated,
     Kind::FocalSuspicious,
     Kind::FocalContradicted,
+    Kind::HeightUnusual,
     Kind::KeypointsOffMask,
     Kind::FewKeypoints,
     Kind::SidesSwapped,
@@ -69,6 +71,7 @@ impl Kind {
             Kind::FocalEstimated => "focal_estimated",
             Kind::FocalSuspicious => "focal_suspicious",
             Kind::FocalContradicted => "focal_contradicted",
+            Kind::HeightUnusual => "height_unusual",
             Kind::Spikes => "spikes",
             Kind::FlippedFaces => "flipped_faces",
             Kind::UnseenArea => "unseen_area",
@@ -94,6 +97,7 @@ impl Kind {
             Kind::FocalEstimated => "px",
             Kind::FocalSuspicious => "degrees along the longer side",
             Kind::FocalContradicted => "focal length that the clip tells, over the given one",
+            Kind::HeightUnusual => "metres, undressed",
             Kind::Spikes => "vertices",
             Kind::FlippedFaces | Kind::UnseenArea => "of the surface",
         }
@@ -140,6 +144,10 @@ impl Kind {
             Kind::FocalContradicted => {
                 "Check the focal length: it belongs to the size of these very images, in pixels; leave the camera away where \
                  it is not known, and it is found."
+            }
+            Kind::HeightUnusual => {
+                "Give the person's height (`height_m`): one camera cannot measure it, and with it the body's proportions come out \
+                 better, too."
             }
             Kind::Spikes => "Look at the mesh: vertices stick out where masks or poses contradict each other.",
             Kind::FlippedFaces => {

@@ -38,6 +38,7 @@ use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::Capture;
 use minimise::minimise;
+pub use prior::ADULT_STATURE;
 use problem::{Problem, Scales};
 use state::State;
 
@@ -90,6 +91,9 @@ pub struct Stage0Report {
     pub swapped: Vec<usize>,
     /// Degrees from the first frame to the last; positive turns point the left side away first.
     pub turn_degrees: f32,
+    /// The naked body's height where neither it nor poses were given, metres: what its proportions tell, held near
+    /// [`ADULT_STATURE`].
+    pub guessed_height_m: Option<f64>,
     /// Points of the surface that were followed from frame to frame.
     pub tracked_points: usize,
     /// Cost at the end of every round; rounds differ in their robust scales.

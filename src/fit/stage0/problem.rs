@@ -92,6 +92,10 @@ impl Stature {
     pub fn measured(&mut self, height: f64) {
         (self.expected, self.sigma) = (height, prior::MEASURED_SIGMA);
     }
+
+    pub fn is_measured(&self) -> bool {
+        self.sigma == prior::MEASURED_SIGMA
+    }
 }
 
 pub struct Problem {

@@ -83,6 +83,9 @@ fn describe(best: &Candidate, report: &mut Stage0Report) {
     report.swapped = (0..best.swapped.len()).filter(|t| best.swapped[*t].contains(&true)).collect();
     let turn = |pair: &[super::state::Frame]| rotation::log(pair[0].root.transpose() * pair[1].root).y;
     report.turn_degrees = best.state.frames.windows(2).map(turn).sum::<f64>().to_degrees() as f32;
+    let stature = &best.problem.stature;
+    let guessed = best.problem.anchor.is_none() && !stature.is_measured();
+    report.guessed_height_m = guessed.then(|| stature.of(&best.state.shared.betas));
     if !report.swapped.is_empty() {
         report.notes.push(format!("left and right were swapped in {} frames", report.swapped.len()));
     }

@@ -128,6 +128,7 @@ fn report(
             "mask_iou": fitted.start.report.mask_iou,
             "sigma_px": fitted.start.report.sigma_px,
             "residual_px": fitted.start.report.residual_px,
+            "guessed_height_m": fitted.start.report.guessed_height_m,
             "tracked_points": fitted.start.report.tracked_points,
             "swapped_frames": fitted.start.report.swapped,
             "notes": fitted.start.report.notes,

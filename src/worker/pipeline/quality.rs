@@ -3,6 +3,7 @@
 use super::export::Fitted;
 use super::score::FrameScore;
 use crate::avatar::AvatarModel;
+use crate::fit::stage0::ADULT_STATURE;
 use crate::quality::{self, FitFindings, Flag, FrameMeasures, SurfaceCheck};
 
 /// What was wrong with the clip and with what came of it.
@@ -26,6 +27,8 @@ impl<'a> Quality<'a> {
             camera: &model.camera,
             camera_estimated: fitted.capture.camera_estimated,
             focal_ratio: fitted.focal_ratio,
+            guessed_height_m: fitted.start.report.guessed_height_m,
+            usual_height_m: ADULT_STATURE,
         };
         let undressed = model.body.shaped_vertices(&model.betas);
         let surface = quality::check_surface(&model.rest_vertices(), &undressed, &model.body.faces, seen);
