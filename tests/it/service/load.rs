@@ -79,11 +79,8 @@ fn status_calls_are_quick_and_cancels_prompt_under_a_fit() {
         at(1000),
         wished.elapsed()
     );
-    let canceled = wished.elapsed();
-    // `make torture` measures, with the machine to itself; elsewhere other work may have it.
-    let slack = if std::env::var_os("EFFIGY_TORTURE_CALL_SECS").is_some() { 1 } else { 5 };
-    assert!(at(990) <= slack * Duration::from_millis(50), "p99 {:?} of {} calls", at(990), times.len());
-    assert!(canceled < slack * Duration::from_secs(2), "{canceled:?}");
+    assert!(at(990) <= Duration::from_millis(50), "p99 {:?} of {} calls", at(990), times.len());
+    assert!(wished.elapsed() < Duration::from_secs(2), "{:?}", wished.elapsed());
 }
 
 /// A connection that sends a byte a second for as long as it is let.
