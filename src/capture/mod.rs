@@ -44,8 +44,8 @@ pub struct Frame {
     pub rgb: Vec<u8>,
     /// `[height, width]`, 255 inside the person.
     pub mask: Vec<u8>,
-    /// `[K]` x, y in pixels of the whole (undistorted, scaled) image, smoothed in time where frames are left out, and confidence; confidence 0 = not
-    /// seen.
+    /// `[K]` x, y in pixels of the whole (undistorted, scaled) image, smoothed in time where frames are left out, and
+    /// confidence; confidence 0 = not seen.
     pub keypoints: Vec<[f32; 3]>,
 }
 

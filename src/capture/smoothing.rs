@@ -69,8 +69,7 @@ fn place(point: &Point) -> DVec2 {
 
 /// Standard deviation a coordinate of the detections, pixels. A detection of a steady motion lies in the middle of the two
 /// before and after it, but for noise; of three such pairs around it the nearest is compared, so that the median does not
-/// mind if every fourth detection is wrong. `None` where no three frames, evenly
-/// spaced, have the point.
+/// mind if every fourth detection is wrong. `None` where no three frames, evenly spaced, have the point.
 fn noise(track: &[Point]) -> Option<f64> {
     let seen = |frame: usize| track.get(frame).filter(|point| point[2] > 0.0).map(place);
     let off_middle = |frame: usize, step: usize| {
