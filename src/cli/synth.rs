@@ -21,9 +21,12 @@ pub struct Args {
     /// The picture's longer side in pixels.
     #[arg(long, default_value_t = SynthOptions::default().size_px)]
     size: u32,
-    /// any, tight, loose, breeches, hoodie or hair.
+    /// any, tight, loose, breeches, hoodie, hair, skirt or coat.
     #[arg(long, default_value = "any", value_parser = outfit)]
     outfit: Outfit,
+    /// Checked cloth, so that there is something to see everywhere.
+    #[arg(long)]
+    checked: bool,
     /// any, small or heavy.
     #[arg(long, default_value = "any", value_parser = build)]
     build: Build,
@@ -87,6 +90,7 @@ pub fn run(args: Args) -> Result<()> {
         seed: args.seed,
         build: args.build,
         outfit: args.outfit,
+        checked: args.checked,
         side_light: args.side_light,
         fps: args.fps,
         keypoint_noise_px: args.keypoint_noise,

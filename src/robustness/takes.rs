@@ -14,7 +14,7 @@ const fn take(name: &'static str, what: &'static str, film: fn(&mut SynthOptions
 }
 
 /// The plain one first: all others are compared with it.
-pub const TAKES: [Take; 10] = [
+pub const TAKES: [Take; 12] = [
     take("plain", "a level camera some way off, one steady turn", |_| {}),
     take("tilted", "the camera looks down by 15°", |o| o.filming.tilt_degrees = 15.0),
     take("phone", "a phone held close: wide lens, upright picture, looking down by 15°", |o| {
@@ -32,6 +32,8 @@ pub const TAKES: [Take; 10] = [
     take("heavy", "somebody heavy", |o| o.build = Build::Heavy),
     take("loose", "wide clothes", |o| o.outfit = Outfit::Loose),
     take("hair", "much hair", |o| o.outfit = Outfit::Hair),
+    take("skirt", "a skirt to the knees", |o| o.outfit = Outfit::Skirt),
+    take("coat", "a coat to the shanks", |o| o.outfit = Outfit::Coat),
 ];
 
 #[cfg(test)]

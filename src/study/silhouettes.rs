@@ -103,8 +103,16 @@ fn subject(
     methods: &[(&str, FitConfig); 2],
 ) -> Result<([Summary; 2], Vec<RgbImage>)> {
     let Settings { frames, size_px, surfaces, .. } = *settings;
-    let options =
-        SynthOptions { frames, size_px, truths: surfaces, outfit, side_light: 0.0, seed, ..SynthOptions::default() };
+    let options = SynthOptions {
+        frames,
+        size_px,
+        truths: surfaces,
+        outfit,
+        checked: true,
+        side_light: 0.0,
+        seed,
+        ..SynthOptions::default()
+    };
     let mut person = Person::new(context, &options)?;
     let truth = person.truth(false)?;
     let start = person.start(&methods[0].1)?;

@@ -72,6 +72,7 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
         size_px,
         truths,
         outfit: Outfit::Loose,
+        checked: true,
         side_light: 0.0,
         seed: context.seed,
         ..SynthOptions::default()

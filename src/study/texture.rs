@@ -106,6 +106,7 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
         size_px,
         truths: views,
         outfit: Outfit::Tight,
+        checked: true,
         side_light: 0.0,
         seed: context.seed,
         ..Default::default()

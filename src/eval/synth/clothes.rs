@@ -46,6 +46,10 @@ pub enum Outfit {
     Hoodie,
     /// Voluminous hair over close clothes.
     Hair,
+    /// A skirt to the knees: cloth from leg to leg.
+    Skirt,
+    /// A coat that hangs to the shanks.
+    Coat,
 }
 
 /// The cut of the clothes.
@@ -85,6 +89,8 @@ impl Cut {
             }
             Outfit::Hoodie => Self { hood: true, top_cm: 3.0, top_folds: 0.6, ..TIGHT },
             Outfit::Hair => Self { sleeve: 0.4, hair_cm: 5.0, ..TIGHT },
+            Outfit::Skirt => Self { sleeve: 0.3, hem: 0.3, ..TIGHT },
+            Outfit::Coat => Self { top_cm: 2.0, ..TIGHT },
         }
     }
 

@@ -7,8 +7,10 @@ mod filming;
 mod keypoints;
 mod motion;
 mod paint;
+mod skirt;
 mod write;
 
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -24,6 +26,7 @@ pub use self::filming::Filming;
 use self::keypoints::detect;
 use self::motion::{novel_poses, turn};
 use self::paint::Paint;
+use self::skirt::{Skirt, sew};
 use self::write::{FolderWriter, NovelEntry};
 use crate::avatar::{Picture, Pose, Shading, Tracer, VideoError, vertex_normals};
 use crate::body::Body;
@@ -40,8 +43,9 @@ pub struct SynthOptions {
     pub size_px: u32,
     pub seed: u64,
     pub build: Build,
-    /// A named outfit is of checked cloth, so that there is something to see everywhere.
     pub outfit: Outfit,
+    /// Whether the cloth is checked, so that there is something to see everywhere.
+    pub checked: bool,
     /// Share of the light that comes from one side; zero lights everything evenly.
     pub side_light: f32,
     pub fps: f64,
@@ -60,6 +64,7 @@ impl Default for SynthOptions {
             seed: 1,
             build: Build::Any,
             outfit: Outfit::Any,
+            checked: false,
             side_light: 0.28,
             fps: 30.0,
             keypoint_noise_px: 2.0,
@@ -146,6 +151,14 @@ pub fn synthesise(
     let mut rng = Pcg64::seed_from_u64(options.seed);
     let betas = options.build.betas(body, &mut rng);
     let dress = dress(body, &betas, options.outfit, &mut rng);
+    let (body, dress) = match Skirt::of(options.outfit) {
+        Some(skirt) => {
+            let (sewn, dress) = sew(body, &betas, dress, &skirt);
+            (Cow::Owned(sewn), dress)
+        }
+        None => (Cow::Borrowed(body), dress),
+    };
+    let body = body.as_ref();
     let paint = Paint::random(body, &betas, &dress, options, &mut rng);
     let filming = &options.filming;
     let ys = dress.rest.iter().map(|v| f64::from(v[1]));

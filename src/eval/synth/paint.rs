@@ -5,7 +5,7 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::SynthOptions;
-use super::clothes::{Dress, Outfit, REGIONS, Region};
+use super::clothes::{Dress, REGIONS, Region};
 use crate::avatar::SurfacePoint;
 use crate::body::{Body, KeypointSource};
 use crate::ops::light::shadow::visibility;
@@ -82,7 +82,7 @@ impl<'a> Paint<'a> {
             eyes: [landmark(1), landmark(2)].into_iter().flatten().collect(),
             nose: landmark(0),
             hips: [joints[1], joints[2]],
-            checked: options.outfit != Outfit::Any,
+            checked: options.checked,
             light: Vec3::new(-0.5, -0.8, -0.6).normalize(),
             side_light: options.side_light,
         }
@@ -195,7 +195,8 @@ impl<'a> Paint<'a> {
             return self.top[self.check(p, Vec3::new(0.0, 0.0, self.chest.z), 0.15) as usize];
         }
         // On the trunk the stripes run round it, on the sleeves round the arm.
-        let along = if p.x.abs() > 0.2 { p.x.abs() } else { p.y };
+        let on_sleeve = p.x.abs() > 0.2 && p.y > self.chest.y - 0.2;
+        let along = if on_sleeve { p.x.abs() } else { p.y };
         self.top[((along * self.stripes_a_metre).rem_euclid(1.0) < 0.35) as usize]
     }
 }
