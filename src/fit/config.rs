@@ -126,6 +126,8 @@ pub struct FitConfig {
     pub light: bool,
     /// Whether the texture is told the colours of what no frame shows, by its surroundings and the body's other half.
     pub fill_unseen: bool,
+    /// Whether cloth from leg to leg is looked for in the end, filled and carried by both legs ([`super::skirt`]).
+    pub skirts: bool,
     pub rates: Rates,
     /// Stage 1, with one colour a face.
     pub geometry: StageConfig,
@@ -180,6 +182,7 @@ impl FitConfig {
             hip_keypoints: true,
             light: true,
             fill_unseen: true,
+            skirts: true,
             rates: Rates {
                 betas: 1e-2,
                 pose: 4e-3,
@@ -243,6 +246,7 @@ impl FitConfig {
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
         config.fill_unseen = false;
+        config.skirts = false;
         config.min_steps_a_pass = 1;
         config.rates.offsets = DIRECT_OFFSET_RATE;
         config.frame_sampling = FrameSampling::Uniform;

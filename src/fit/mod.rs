@@ -17,6 +17,7 @@ mod scene;
 mod schedule;
 mod shape;
 mod silhouette;
+pub mod skirt;
 mod soft;
 mod stage;
 pub mod stage0;

@@ -37,12 +37,14 @@ pub struct FitFindings<'a> {
     /// The undressed body's height where it was guessed, and what it is expected to be, metres
     pub guessed_height_m: Option<f64>,
     pub usual_height_m: f64,
+    /// Where cloth ends that hangs from leg to leg, from hip (0) to ankle (1)
+    pub hem: Option<f64>,
 }
 
 /// The flags that a fit raises.
 pub fn fit_flags(found: &FitFindings<'_>) -> Vec<Flag> {
     let of_clip = [no_full_turn(found), focal(found), focal_contradicted(found), height_unusual(found)];
-    let flags = of_clip.into_iter().chain([sides_swapped(found), fit_misses(found)]);
+    let flags = of_clip.into_iter().chain([sides_swapped(found), fit_misses(found), cloth_between_legs(found)]);
     flags.into_iter().flatten().collect()
 }
 
@@ -108,6 +110,12 @@ fn height_unusual(found: &FitFindings<'_>) -> Option<Flag> {
     ((guessed - usual).abs() > HEIGHT_OFF_M).then(|| Flag::of_clip(Kind::HeightUnusual, message, guessed, limit))
 }
 
+fn cloth_between_legs(found: &FitFindings<'_>) -> Option<Flag> {
+    let hem = found.hem?;
+    let message = format!("a skirt or coat hangs from leg to leg, over {:.0} percent of their length", 100.0 * hem);
+    Some(Flag::of_clip(Kind::ClothBetweenLegs, message, hem, 0.0))
+}
+
 fn sides_swapped(found: &FitFindings<'_>) -> Option<Flag> {
     let (swapped, all) = (found.swapped, found.frames.len());
     let message = format!("left and right were exchanged in {}", of(swapped, all));
@@ -166,6 +174,7 @@ mod tests {
             focal_ratio: Some(0.95),
             guessed_height_m: Some(1.68),
             usual_height_m: 1.65,
+            hem: None,
         };
         assert_eq!(fit_flags(&good), []);
         let bad = FitFindings { iou: &iou, poses: &poses, swapped: &[20, 21], camera_estimated: true, ..good.clone() };
@@ -184,6 +193,9 @@ mod tests {
             assert!(flags[0].message.contains(word), "{}", flags[0].message);
         }
         assert_eq!(fit_flags(&FitFindings { guessed_height_m: None, ..good.clone() }), []);
+        let flags = fit_flags(&FitFindings { hem: Some(0.52), ..good.clone() });
+        assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("cloth_between_legs", 0.52)]);
+        assert!(flags[0].message.contains("52 percent"), "{}", flags[0].message);
         let odd = Camera { fy: 4000.0, ..camera.clone() };
         let flags = fit_flags(&FitFindings { camera: &odd, ..good });
         assert_eq!(flags.iter().map(|f| f.code).collect::<Vec<_>>(), ["focal_suspicious"]);

@@ -22,13 +22,14 @@ pub enum Kind {
     FocalSuspicious,
     FocalContradicted,
     HeightUnusual,
+    ClothBetweenLegs,
     Spikes,
     FlippedFaces,
     UnseenArea,
 }
 
 /// In the order in which reports show them.
-pub const KINDS: [Kind; 20] = [
+pub const KINDS: [Kind; 21] = [
     Kind::NoFullTurn,
     Kind::FewFrames,
     Kind::LowResolution,
@@ -46,6 +47,7 @@ pub const KINDS: [Kind; 20] = [
     Kind::MaskFlickers,
     Kind::Blurred,
     Kind::FitMisses,
+    Kind::ClothBetweenLegs,
     Kind::Spikes,
     Kind::FlippedFaces,
     Kind::UnseenArea,
@@ -72,6 +74,7 @@ impl Kind {
             Kind::FocalSuspicious => "focal_suspicious",
             Kind::FocalContradicted => "focal_contradicted",
             Kind::HeightUnusual => "height_unusual",
+            Kind::ClothBetweenLegs => "cloth_between_legs",
             Kind::Spikes => "spikes",
             Kind::FlippedFaces => "flipped_faces",
             Kind::UnseenArea => "unseen_area",
@@ -98,6 +101,7 @@ impl Kind {
             Kind::FocalSuspicious => "degrees along the longer side",
             Kind::FocalContradicted => "focal length that the clip tells, over the given one",
             Kind::HeightUnusual => "metres, undressed",
+            Kind::ClothBetweenLegs => "of the way from hip to ankle, where its hem is",
             Kind::Spikes => "vertices",
             Kind::FlippedFaces | Kind::UnseenArea => "of the surface",
         }
@@ -148,6 +152,10 @@ impl Kind {
             Kind::HeightUnusual => {
                 "Give the person's height (`height_m`): one camera cannot measure it, and with it the body's proportions come out \
                  better, too."
+            }
+            Kind::ClothBetweenLegs => {
+                "Nothing is to be done where poses look right: the legs alone carry this cloth, and how it falls when they part \
+                 is a guess."
             }
             Kind::Spikes => "Look at the mesh: vertices stick out where masks or poses contradict each other.",
             Kind::FlippedFaces => {

@@ -13,6 +13,7 @@ use super::{Outcome, PipelineError, PipelineInput, Stage};
 use crate::avatar::{AvatarModel, Renderer};
 use crate::body::Body;
 use crate::capture::Capture;
+use crate::fit::skirt::Skirt;
 use crate::fit::stage0::Stage0Result;
 use crate::fit::{FitConfig, FitState};
 use crate::gpu::Gpu;
@@ -28,6 +29,8 @@ pub(super) struct Fitted {
     pub focal_ratio: Option<f64>,
     pub start: Stage0Result,
     pub state: FitState,
+    /// What the person wears, where it hangs from leg to leg; `body` and `state` carry it.
+    pub skirt: Option<Skirt>,
     pub config: FitConfig,
 }
 

@@ -29,6 +29,7 @@ impl<'a> Quality<'a> {
             focal_ratio: fitted.focal_ratio,
             guessed_height_m: fitted.start.report.guessed_height_m,
             usual_height_m: ADULT_STATURE,
+            hem: fitted.skirt.map(|skirt| f64::from(skirt.hem)),
         };
         let undressed = model.body.shaped_vertices(&model.betas);
         let surface = quality::check_surface(&model.rest_vertices(), &undressed, &model.body.faces, seen);

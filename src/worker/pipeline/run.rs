@@ -11,6 +11,7 @@ use super::preview::Previews;
 use super::{Observer, Outcome, PipelineError, PipelineInput, Preview, Progress, Stage, StopReason, export};
 use crate::body::Body;
 use crate::capture::{Capture, CaptureOptions, Frame};
+use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, Stage0Error, Stage0Options, Stage0Result};
 use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
 use crate::gpu::Gpu;
@@ -44,7 +45,7 @@ pub fn run(
     let mut monitor = Monitor::new(gpu, observer, &checkpoint);
     let config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
-    let body = load_body(data_dir, &input.options.body)?;
+    let mut body = load_body(data_dir, &input.options.body)?;
     let mut capture = load_capture(input)?;
     // Of the detections as they were given: what follows reads them anew.
     let measures = quality::measure(&capture);
@@ -67,8 +68,13 @@ pub fn run(
     }
     monitor.start(Stage::Geometry)?;
     let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
-    let state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
-    let done = export::Fitted { body, capture, measures, focal_ratio, start, state, config };
+    let mut state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
+    let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
+    if let Some(skirt) = skirt {
+        skirt.fill(&body, &mut state);
+        skirt.hang(&mut body, &mut state);
+    }
+    let done = export::Fitted { body, capture, measures, focal_ratio, start, state, skirt, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)
 }
 
