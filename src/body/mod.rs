@@ -119,6 +119,12 @@ impl Body {
         shaped(&self.v_template, &self.shapedirs, self.n_betas, betas)
     }
 
+    /// The part of vertex `v` that the joints move for which `of` holds, 0 to 1.
+    pub fn weight_of(&self, v: usize, of: impl Fn(u32) -> bool) -> f32 {
+        let pairs = self.lbs_joints[v].iter().zip(self.lbs_weights[v]);
+        pairs.filter(|(joint, _)| of(**joint)).map(|(_, weight)| weight).sum()
+    }
+
     /// Joints of the shaped body in the T-pose, `[24]`. Missing betas count as zero.
     pub fn shaped_joints(&self, betas: &[f32]) -> Vec<[f32; 3]> {
         shaped(&self.j_template, &self.j_shapedirs, self.n_betas, betas)

@@ -26,8 +26,11 @@ const MIDDLE: f32 = 0.15;
 /// Cloth is no trousers where it closes a gap that is this wide between the naked legs, metres. Skirts to the knees and longer
 /// close 18 cm and more; overalls with a low crotch, wide trousers and heavy thighs less than 7 (docs/lab/skirt.md).
 const GAP_M: f32 = 0.1;
-/// Heights over which filling and carrying begin below the hip and end at the hem, of a leg.
+/// Heights over which filling begins below the hip, and filling and carrying end at the hem, of a leg.
 const FADE: f32 = 0.04;
+/// The same towards a leg's axis, of its distance from the middle, and for carrying above the hip, of a leg.
+const FADE_ACROSS: f32 = 0.15;
+const FADE_ABOVE: f32 = 0.15;
 /// Places across a section at which its front and back are told.
 const PLACES: usize = 41;
 /// Rounds of smoothing of what filling moves: without it, of a made coat's inner side 52 vertices stick out, with it less than 8.
@@ -68,7 +71,8 @@ impl Skirt {
         let moves: Vec<Option<f32>> = (0..body.n_vertices())
             .map(|v| {
                 let (z, place) = (standing.posed.vertices[v][2], standing.place(v));
-                let weight = self.weight(place.y) * smooth((1.0 - place.x.abs()) / 0.15) * smooth(place.y / FADE);
+                let weight =
+                    self.weight(place.y) * smooth((1.0 - place.x.abs()) / FADE_ACROSS) * smooth(place.y / FADE);
                 let nearest = rows.iter().min_by(|a, b| (a.0 - place.y).abs().total_cmp(&(b.0 - place.y).abs()));
                 let (_, outline) = nearest.filter(|_| weight > 0.0 && !standing.of_arm[v])?;
                 Some(weight * (outline.filled(place.x, z) - z))
@@ -86,7 +90,7 @@ impl Skirt {
         let standing = Standing::new(body, state, &state.offsets);
         for v in (0..body.n_vertices()).filter(|&v| !standing.of_arm[v]) {
             let place = standing.place(v);
-            let hanging = self.weight(place.y) * smooth((place.y + 0.15) / 0.15);
+            let hanging = self.weight(place.y) * smooth((place.y + FADE_ABOVE) / FADE_ABOVE);
             let mut weights = [0.0f32; N_JOINTS];
             for (&joint, weight) in body.lbs_joints[v].iter().zip(body.lbs_weights[v]) {
                 weights[joint as usize] += weight;
@@ -156,12 +160,8 @@ impl Standing {
         }
         pose[..3].fill(0.0);
         let posed = forward(body, &state.betas, Some(offsets.as_chunks().0), &pose, [0.0; 3]);
-        let of_arm: Vec<bool> = (0..body.n_vertices())
-            .map(|v| {
-                let pairs = body.lbs_joints[v].iter().zip(body.lbs_weights[v]);
-                pairs.filter(|(joint, _)| ARMS.contains(joint)).map(|(_, weight)| weight).sum::<f32>() > 0.5
-            })
-            .collect();
+        let is_of_arm = |v| body.weight_of(v, |joint| ARMS.contains(&joint)) > 0.5;
+        let of_arm: Vec<bool> = (0..body.n_vertices()).map(is_of_arm).collect();
         let edges = body.faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
         let edges = edges.filter(|edge| edge.iter().all(|&v| !of_arm[v as usize])).collect();
         Self { posed, of_arm, edges }

@@ -126,7 +126,7 @@ const TIGHT: Cut = Cut {
 const TRUNK_FOLDS: f32 = 7.0;
 const LEG_FOLDS: f32 = 4.0;
 
-fn step(low: f32, high: f32, x: f32) -> f32 {
+pub(super) fn step(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
@@ -164,10 +164,7 @@ struct Place<'a> {
 
 impl<'a> Place<'a> {
     fn of(body: &Body, v: usize, point: Vec3, joints: &'a [Vec3]) -> Self {
-        let weight = |which: &[u32]| {
-            let pairs = body.lbs_joints[v].iter().zip(body.lbs_weights[v]);
-            pairs.filter(|(j, _)| which.contains(j)).map(|(_, w)| w).sum::<f32>()
-        };
+        let weight = |which: &[u32]| body.weight_of(v, |joint| which.contains(&joint));
         Self {
             point,
             joints,

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use glam::Vec3;
 
-use super::clothes::{Dress, Outfit, REGIONS, Region};
+use super::clothes::{Dress, Outfit, REGIONS, Region, step};
 use crate::body::Body;
 
 /// The cut of a skirt, or of a coat's lower half.
@@ -40,15 +40,16 @@ const SEEN_UNDER_HEM: f32 = 0.06;
 
 /// The body of shape `betas` with the skirt sewn on, its vertices after the body's, and the dress with it. Faces of the
 /// body that the skirt hides are left out: nobody sees them, and they are no part of a dressed person's surface.
-pub(super) fn sew(body: &Body, betas: &[f32], dress: Dress, skirt: &Skirt) -> (Body, Dress) {
+pub(super) fn sew(body: &Body, betas: &[f32], mut dress: Dress, skirt: &Skirt) -> (Body, Dress) {
     let joints: Vec<Vec3> = body.shaped_joints(betas).into_iter().map(Vec3::from).collect();
     let waist = 0.5 * (joints[0].y + joints[3].y);
     let hem = joints[1].y - skirt.hem * (joints[1].y - joints[7].y);
-    let of_arm: Vec<bool> = (0..body.n_vertices()).map(|v| arm_weight(body, v) > 0.5).collect();
+    let of_arm: Vec<bool> =
+        (0..body.n_vertices()).map(|v| body.weight_of(v, |joint| (16..24).contains(&joint)) > 0.5).collect();
 
     let cloth = surface(&dress.rest, &body.faces, &of_arm, waist..hem, skirt.flare);
 
-    let (mut body, mut dress) = (body.clone(), dress);
+    let mut body = body.clone();
     let hidden = |&v: &u32| {
         let y = dress.rest[v as usize][1];
         !of_arm[v as usize] && y < waist - EASE && y > hem + SEEN_UNDER_HEM
@@ -84,11 +85,6 @@ pub(super) fn sew(body: &Body, betas: &[f32], dress: Dress, skirt: &Skirt) -> (B
     body.uvs.clear();
     body.uv_faces.clear();
     (body, dress)
-}
-
-fn arm_weight(body: &Body, v: usize) -> f32 {
-    let pairs = body.lbs_joints[v].iter().zip(body.lbs_weights[v]);
-    pairs.filter(|(joint, _)| (16..24).contains(*joint)).map(|(_, weight)| weight).sum()
 }
 
 /// Rows from waist to hem, each from the back's left round the front to its right: it hangs from the widest place above.
@@ -130,12 +126,9 @@ fn surface(
 
 /// Held by the pelvis at the waist and carried by the thighs below, in front and behind by both.
 fn skinning(point: Vec3, waist: f32, hip: Vec3) -> ([u32; 4], [f32; 4]) {
-    let smooth = |t: f32| {
-        let t = t.clamp(0.0, 1.0);
-        t * t * (3.0 - 2.0 * t)
-    };
-    let carried = smooth((waist - point.y) / (waist - hip.y + 0.12));
-    let left = smooth(0.5 + 0.5 * point.x / (1.5 * hip.x.abs()));
+    let carried = step(waist, hip.y - 0.12, point.y);
+    let width = 1.5 * hip.x.abs();
+    let left = step(-width, width, point.x);
     ([0, 1, 2, 0], [1.0 - carried, carried * left, carried * (1.0 - left), 0.0])
 }
 

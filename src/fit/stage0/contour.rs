@@ -115,14 +115,12 @@ fn is_dressed(body: &Body, v: usize) -> bool {
 
 fn is_between_the_legs(body: &Body, v: usize) -> bool {
     let ([x, y, _], hip) = (body.v_template[v], body.j_template[LEFT_HIP as usize]);
-    let influences = body.lbs_joints[v].iter().zip(&body.lbs_weights[v]);
-    let of_hips: f32 = influences.filter(|(j, _)| [PELVIS, LEFT_HIP, RIGHT_HIP].contains(j)).map(|(_, w)| w).sum();
+    let of_hips = body.weight_of(v, |joint| [PELVIS, LEFT_HIP, RIGHT_HIP].contains(&joint));
     of_hips > 0.5 && x.abs() < hip[0].abs() && y < hip[1]
 }
 
 fn is_covered(body: &Body, v: usize) -> bool {
-    let influences = body.lbs_joints[v].iter().zip(&body.lbs_weights[v]);
-    influences.filter(|(j, _)| DRESSED_JOINTS.contains(j)).map(|(_, w)| w).sum::<f32>() > 0.3
+    body.weight_of(v, |joint| DRESSED_JOINTS.contains(&joint)) > 0.3
 }
 
 /// The model's outline in all frames of one state.
