@@ -7,6 +7,7 @@ struct Params {
     weight: f32,
     inverse_scale2: f32,
     max_change: f32,
+    first: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -32,7 +33,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let i = linear_index(id, groups, 64u);
     let frame = i / params.stride;
     let k = i % params.stride;
-    if frame >= params.n_frames {
+    if frame >= params.n_frames || k < params.first {
         return;
     }
     var pull = -2.0 * acceleration(frame, k) + acceleration(frame + 1u, k);

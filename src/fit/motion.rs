@@ -6,6 +6,7 @@ use super::poses::PoseGroups;
 use crate::body::{JOINT_NAMES, N_JOINTS};
 use crate::gpu::{Gpu, Recorder};
 use crate::ops::anchor::{Anchor, AnchorConfig};
+use crate::ops::angular_acceleration::{AngularAcceleration, AngularAccelerationConfig};
 use crate::ops::temporal::{Temporal, TemporalConfig};
 
 /// Changes from one frame to the next above these are no motion: radians, metres.
@@ -15,6 +16,9 @@ pub const PLACE_JUMP: f32 = 0.1;
 /// Usual accelerations in a clip of 30 frames or more: radians and metres a frame².
 const POSE_ACCELERATION: f64 = 0.03;
 const PLACE_ACCELERATION: f64 = 0.005;
+
+/// A person does not turn faster from one frame to the next, radians: more is a gap in the clip.
+const TURN_JUMP: f64 = 1.0;
 
 /// Usual accelerations in a clip of `n` frames over those: fewer frames lie further apart, and the same motion accelerates by
 /// the square of that more.
@@ -46,7 +50,8 @@ fn anchor_scales() -> [[f64; 3]; N_JOINTS] {
 
 /// Penalties on the accelerations of pose and placement, and on the way of the joints' angles from the stage's start.
 pub struct Motion {
-    pose: Temporal,
+    root: AngularAcceleration,
+    joints: Temporal,
     transl: Temporal,
     anchor: Anchor,
 }
@@ -54,14 +59,17 @@ pub struct Motion {
 impl Motion {
     /// `start [N, 72]`: the poses that the joints are held near.
     pub fn new(gpu: &Gpu, start: &[f32]) -> Self {
-        let usual = acceleration(start.len() / 72);
+        let usual = acceleration(start.len() / (3 * N_JOINTS));
+        let stride = 3 * N_JOINTS;
         let (scale, max_change) = (POSE_ACCELERATION * usual, POSE_JUMP.into());
-        let pose = TemporalConfig { stride: 72, scale, max_change };
+        let root = AngularAccelerationConfig { stride, scale, max_turn: TURN_JUMP };
+        let joints = TemporalConfig { stride, first: 3, scale, max_change };
         let (scale, max_change) = (PLACE_ACCELERATION * usual, PLACE_JUMP.into());
-        let transl = TemporalConfig { stride: 3, scale, max_change };
+        let transl = TemporalConfig { stride: 3, first: 0, scale, max_change };
         let anchor = AnchorConfig { scales: anchor_scales().as_flattened().to_vec() };
         Self {
-            pose: Temporal::new(gpu, pose),
+            root: AngularAcceleration::new(gpu, root),
+            joints: Temporal::new(gpu, joints),
             transl: Temporal::new(gpu, transl),
             anchor: Anchor::new(gpu, &anchor, start),
         }
@@ -71,7 +79,8 @@ impl Motion {
     pub fn record(&self, recorder: &mut Recorder<'_>, weights: &Weights, share: f32, groups: &PoseGroups) {
         let PoseGroups { poses, transl, .. } = groups;
         if weights.motion != 0.0 {
-            self.pose.backward(recorder, &poses.values, share * weights.motion, &poses.grads);
+            self.root.backward(recorder, &poses.values, share * weights.motion, &poses.grads);
+            self.joints.backward(recorder, &poses.values, share * weights.motion, &poses.grads);
             self.transl.backward(recorder, &transl.values, share * weights.motion, &transl.grads);
         }
         if weights.anchor != 0.0 {

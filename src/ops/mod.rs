@@ -22,6 +22,7 @@ macro_rules! kernel {
 pub mod adam;
 pub mod add;
 pub mod anchor;
+pub mod angular_acceleration;
 mod corners;
 pub mod diffuse;
 pub mod edge_gradient;

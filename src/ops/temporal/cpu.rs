@@ -5,7 +5,7 @@ use crate::ops::Real;
 
 fn acceleration<T: Real>(config: &TemporalConfig, values: &[T], frame: usize, k: usize) -> T {
     let at = |frame: usize| values[frame * config.stride + k];
-    if frame == 0 || (frame + 1) * config.stride >= values.len() {
+    if k < config.first || frame == 0 || (frame + 1) * config.stride >= values.len() {
         return T::zero();
     }
     let (before, after) = (at(frame) - at(frame - 1), at(frame + 1) - at(frame));

@@ -13,7 +13,8 @@ struct Params {
     weight: f32,
     inverse_scale2: f32,
     max_change: f32,
-    padding: [u32; 3],
+    first: u32,
+    padding: [u32; 2],
 }
 
 /// The gradient of the penalty on the device; its value is not needed there.
@@ -33,7 +34,7 @@ impl Temporal {
     /// # Panics
     /// When the lengths differ or are no multiple of the stride.
     pub fn backward(&self, recorder: &mut Recorder<'_>, values: &Buffer<f32>, weight: f32, grads: &Buffer<f32>) {
-        let TemporalConfig { stride, scale, max_change } = self.config;
+        let TemporalConfig { stride, first, scale, max_change } = self.config;
         assert!(values.len() == grads.len() && values.len().is_multiple_of(stride), "{}: length", values.label());
         let params = Params {
             n_frames: (values.len() / stride) as u32,
@@ -41,7 +42,8 @@ impl Temporal {
             weight,
             inverse_scale2: (1.0 / (scale * scale)) as f32,
             max_change: max_change as f32,
-            padding: [0; 3],
+            first: first as u32,
+            padding: [0; 2],
         };
         recorder.dispatch(&self.backward, &params, &[values, grads], linear_groups(values.len(), 64));
     }

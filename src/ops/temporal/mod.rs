@@ -5,8 +5,8 @@
 //! | `values` | `[N, K]` | one row a frame, in the order of time |
 //! | `grads` | `[N, K]` | `backward` adds `λ ∂L/∂values` |
 //!
-//! `L = Σ_i Σ_k (a_ik / scale)²` over the inner frames, `a_i = x_{i+1} − 2 x_i + x_{i−1}`. Where a number changes
-//! by more than `max_change` from one frame to the next, `a = 0`: axis-angle vectors jump at half turns, and a gap in the
+//! `L = Σ_i Σ_k (a_ik / scale)²` over the inner frames and the numbers from `first` on, `a_i = x_{i+1} − 2 x_i + x_{i−1}`.
+//! Where a number changes by more than `max_change` from one frame to the next, `a = 0`: axis-angle vectors jump at half turns, and a gap in the
 //! clip is no motion. One camera sees depth badly, and a frame alone would place the person a few centimetres too near or
 //! too far; its neighbours know better.
 
@@ -20,6 +20,8 @@ pub use gpu::Temporal;
 pub struct TemporalConfig {
     /// Numbers a frame.
     pub stride: usize,
+    /// The numbers before this one are left alone.
+    pub first: usize,
     /// The acceleration that costs 1, in units of the values a frame².
     pub scale: f64,
     /// The largest change between frames that is motion.

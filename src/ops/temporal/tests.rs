@@ -1,7 +1,7 @@
 use super::{Temporal, TemporalConfig, cpu};
 use crate::ops::testing::{assert_close, assert_gradient, gpu};
 
-const CONFIG: TemporalConfig = TemporalConfig { stride: 4, scale: 0.3, max_change: 1.0 };
+const CONFIG: TemporalConfig = TemporalConfig { stride: 4, first: 0, scale: 0.3, max_change: 1.0 };
 
 /// Seven frames of four numbers; the second number jumps once.
 fn motion() -> Vec<f64> {
@@ -37,14 +37,30 @@ fn two_frames_have_no_acceleration() {
 }
 
 #[test]
+fn the_numbers_before_the_first_are_left_alone() {
+    let values = motion();
+    let config = TemporalConfig { first: 2, ..CONFIG };
+    let (mut all, mut some) = (vec![0.0; values.len()], vec![0.0; values.len()]);
+    cpu::backward(&CONFIG, &values, 1.0, &mut all);
+    cpu::backward(&config, &values, 1.0, &mut some);
+    for (all, some) in all.chunks(4).zip(some.chunks(4)) {
+        assert_eq!(some[..2], [0.0; 2]);
+        assert_eq!(some[2..], all[2..]);
+    }
+    assert_gradient("values", &values, &some, |x| cpu::forward(&config, x));
+}
+
+#[test]
 fn gpu_matches_the_twin() {
     let Some(gpu) = gpu("temporal::gpu_matches_the_twin") else { return };
     let values: Vec<f32> = motion().iter().map(|&x| x as f32).collect();
-    let mut want = vec![1.0f32; values.len()];
-    cpu::backward(&CONFIG, &values, 0.7, &mut want);
-    let (values, grads) = (gpu.upload("values", &values), gpu.upload("grads", &vec![1.0f32; want.len()]));
-    let mut recorder = gpu.recorder("temporal/test");
-    Temporal::new(&gpu, CONFIG).backward(&mut recorder, &values, 0.7, &grads);
-    recorder.submit().unwrap();
-    assert_close("grads", &gpu.read(&grads).unwrap(), &want, 1e-5);
+    for config in [CONFIG, TemporalConfig { first: 3, ..CONFIG }] {
+        let mut want = vec![1.0f32; values.len()];
+        cpu::backward(&config, &values, 0.7, &mut want);
+        let (values, grads) = (gpu.upload("values", &values), gpu.upload("grads", &vec![1.0f32; want.len()]));
+        let mut recorder = gpu.recorder("temporal/test");
+        Temporal::new(&gpu, config).backward(&mut recorder, &values, 0.7, &grads);
+        recorder.submit().unwrap();
+        assert_close("grads", &gpu.read(&grads).unwrap(), &want, 1e-5);
+    }
 }

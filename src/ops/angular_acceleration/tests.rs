@@ -1,0 +1,93 @@
+use std::f64::consts::PI;
+
+use glam::{DMat3, DQuat};
+
+use super::{AngularAcceleration, AngularAccelerationConfig, cpu};
+use crate::ops::temporal::{self, TemporalConfig};
+use crate::ops::testing::{assert_close, assert_gradient, f32s, gpu, random};
+
+const CONFIG: AngularAccelerationConfig = AngularAccelerationConfig { stride: 5, scale: 0.3, max_turn: 1.0 };
+
+/// Rows of `stride` numbers that begin with the rotation vectors, at most π long.
+fn rows(stride: usize, rotations: impl Iterator<Item = DMat3>) -> Vec<f64> {
+    let rest = random(3, stride);
+    let row = |r: DMat3| [&DQuat::from_mat3(&r).to_scaled_axis().to_array()[..], &rest[3..]].concat();
+    rotations.flat_map(row).collect()
+}
+
+/// Upright before a camera whose y runs down, turned by `angle` about the body's own axis.
+fn upright(angle: f64) -> DMat3 {
+    DMat3::from_rotation_x(PI) * DMat3::from_rotation_y(angle)
+}
+
+/// Nine frames of somebody who sways in a turn, with a gap before the seventh.
+fn swaying() -> Vec<f64> {
+    let sway = random(5, 27);
+    let angle = |t: usize| 0.3 * t as f64 + if t < 6 { 0.0 } else { 1.3 };
+    let lean = |t: usize| DMat3::from_rotation_z(0.2 * sway[3 * t]) * DMat3::from_rotation_x(0.2 * sway[3 * t + 1]);
+    rows(CONFIG.stride, (0..9).map(|t| upright(angle(t) + 0.1 * sway[3 * t + 2]) * lean(t)))
+}
+
+#[test]
+fn the_gradient_is_that_of_the_penalty_also_beside_a_gap() {
+    let values = swaying();
+    let mut grads = vec![0.0; values.len()];
+    cpu::backward(&CONFIG, &values, 1.0, &mut grads);
+    assert_gradient("values", &values, &grads, |x| cpu::forward(&CONFIG, x));
+    assert!(grads.chunks(CONFIG.stride).all(|row| row[3..] == [0.0; 2]), "the rest of a row has no part in it");
+    let turn_of = |frame: usize| &grads[CONFIG.stride * frame..][..3];
+    assert!((0..9).all(|frame| turn_of(frame) != [0.0; 3]));
+}
+
+#[test]
+fn steady_turning_costs_nothing_however_one_leans() {
+    let config = AngularAccelerationConfig { stride: 3, ..CONFIG };
+    let lean = DMat3::from_rotation_z(0.2) * DMat3::from_rotation_x(-0.1);
+    let of_body: Vec<f64> = rows(3, (0..20).map(|t| upright(0.3 * f64::from(t)) * lean));
+    let of_world: Vec<f64> = rows(3, (0..20).map(|t| lean * upright(0.3 * f64::from(t))));
+    for values in [&of_body, &of_world] {
+        assert!(cpu::forward(&config, values) < 1e-20);
+    }
+    let nodding =
+        rows(3, (0..20).map(|t| upright(0.3 * f64::from(t)) * DMat3::from_rotation_x(0.1 * f64::from(t % 2))));
+    assert!(cpu::forward(&config, &nodding) > 5.0);
+}
+
+/// Why this is not left to [`temporal`].
+#[test]
+fn the_ends_of_a_steady_turn_are_left_alone() {
+    let turn = rows(3, (0..24).map(|t| upright(PI / 12.0 * (f64::from(t) - 11.5))));
+    let mut grads = vec![0.0; turn.len()];
+    cpu::backward(&AngularAccelerationConfig { stride: 3, ..CONFIG }, &turn, 1.0, &mut grads);
+    assert!(grads.iter().all(|g| g.abs() < 1e-12), "{grads:?}");
+    temporal::cpu::backward(
+        &TemporalConfig { stride: 3, first: 0, scale: 0.3, max_change: 1.0 },
+        &turn,
+        1.0,
+        &mut grads,
+    );
+    let pull = |frame: usize| grads[3 * frame..][..3].iter().map(|g| g * g).sum::<f64>().sqrt();
+    assert!(pull(0) > 5.0 * pull(12) && pull(0) > 0.5, "{} and {}", pull(0), pull(12));
+}
+
+#[test]
+fn two_frames_have_no_acceleration() {
+    let mut grads = vec![0.0; 10];
+    cpu::backward(&CONFIG, &swaying()[..10], 1.0, &mut grads);
+    assert_eq!(grads, [0.0; 10]);
+    cpu::backward(&CONFIG, &[], 1.0, &mut []);
+    assert_eq!(cpu::forward::<f64>(&CONFIG, &[]), 0.0);
+}
+
+#[test]
+fn gpu_matches_the_twin() {
+    let Some(gpu) = gpu("angular_acceleration::gpu_matches_the_twin") else { return };
+    let values = f32s(&swaying());
+    let mut want = vec![1.0f32; values.len()];
+    cpu::backward(&CONFIG, &values, 0.7, &mut want);
+    let (values, grads) = (gpu.upload("values", &values), gpu.upload("grads", &vec![1.0f32; want.len()]));
+    let mut recorder = gpu.recorder("angular_acceleration/test");
+    AngularAcceleration::new(&gpu, CONFIG).backward(&mut recorder, &values, 0.7, &grads);
+    recorder.submit().unwrap();
+    assert_close("grads", &gpu.read(&grads).unwrap(), &want, 1e-5);
+}
