@@ -43,7 +43,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { frames: 24, size_px: 288, passes: [18, 12, 8], batch: 3, truths: 4 }
+        Self { frames: 24, size_px: 288, passes: [24, 16, 32], batch: 3, truths: 4 }
     }
 }
 
