@@ -170,8 +170,7 @@ impl FitConfig {
             Phase { epochs: 42, ..COARSE },
             Phase { epochs: 30, preconditioner: Preconditioner::LargeSteps { lambda: 4.0 }, rate: 0.7, ..FINE },
         ];
-        // Without the soft image a pass costs a fraction of one of stage 1, and the shape gains by each (docs/lab/fit.md, "Passes
-        // with the texture").
+        // Shape and pictures gain by each pass (docs/lab/fit.md, "Passes with the texture").
         let texture = vec![Phase { epochs: 40, ..TEXTURED }];
         Self {
             seed,
