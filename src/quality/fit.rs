@@ -19,6 +19,9 @@ const FOCAL_OFF: f64 = 1.13;
 /// usual means a person much farther from it, metres.
 const HEIGHT_OFF_M: f64 = 0.06;
 
+/// So near, in parts of the person's height, perspective makes pictures of other poses worse (docs/filming.md).
+const NEAR: f64 = 1.0;
+
 /// What is known at the end of a fit.
 #[derive(Clone, Debug)]
 pub struct FitFindings<'a> {
@@ -32,6 +35,8 @@ pub struct FitFindings<'a> {
     pub swapped: &'a [u32],
     pub camera: &'a Camera,
     pub camera_estimated: bool,
+    /// `[N]` from the camera to the pelvis, in heights of the undressed body: what one camera can tell of distance
+    pub distances: &'a [f64],
     /// The focal length that stage 0 finds when it is free to, over the given one.
     pub focal_ratio: Option<f64>,
     /// The undressed body's height where it was guessed, and what it is expected to be, metres
@@ -43,7 +48,8 @@ pub struct FitFindings<'a> {
 
 /// The flags that a fit raises.
 pub fn fit_flags(found: &FitFindings<'_>) -> Vec<Flag> {
-    let of_clip = [no_full_turn(found), focal(found), focal_contradicted(found), height_unusual(found)];
+    let of_clip =
+        [no_full_turn(found), near_camera(found), focal(found), focal_contradicted(found), height_unusual(found)];
     let flags = of_clip.into_iter().chain([sides_swapped(found), fit_misses(found), cloth_between_legs(found)]);
     flags.into_iter().flatten().collect()
 }
@@ -71,6 +77,12 @@ fn no_full_turn(found: &FitFindings<'_>) -> Option<Flag> {
     let covered = turn_coverage_degrees(found.poses);
     let message = format!("the person turned through {covered:.0} of 360 degrees");
     (covered < FULL_TURN_DEGREES).then(|| Flag::of_clip(Kind::NoFullTurn, message, covered, FULL_TURN_DEGREES))
+}
+
+fn near_camera(found: &FitFindings<'_>) -> Option<Flag> {
+    let distance = median(found.distances.to_vec())?;
+    let message = format!("the camera was {distance:.1} times the person's height away");
+    (distance < NEAR).then(|| Flag::of_clip(Kind::NearCamera, message, distance, NEAR))
 }
 
 fn focal(found: &FitFindings<'_>) -> Option<Flag> {
@@ -171,6 +183,7 @@ mod tests {
             swapped: &[],
             camera: &camera,
             camera_estimated: false,
+            distances: &[1.7; 40],
             focal_ratio: Some(0.95),
             guessed_height_m: Some(1.68),
             usual_height_m: 1.65,
@@ -196,6 +209,9 @@ mod tests {
         let flags = fit_flags(&FitFindings { hem: Some(0.52), ..good.clone() });
         assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("cloth_between_legs", 0.52)]);
         assert!(flags[0].message.contains("52 percent"), "{}", flags[0].message);
+        let flags = fit_flags(&FitFindings { distances: &[1.2, 0.91, 0.8], ..good.clone() });
+        assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("near_camera", 0.91)]);
+        assert!(flags[0].message.contains("0.9 times"), "{}", flags[0].message);
         let odd = Camera { fy: 4000.0, ..camera.clone() };
         let flags = fit_flags(&FitFindings { camera: &odd, ..good });
         assert_eq!(flags.iter().map(|f| f.code).collect::<Vec<_>>(), ["focal_suspicious"]);

@@ -18,6 +18,7 @@ pub enum Kind {
     FewFrames,
     BlurredClip,
     LowResolution,
+    NearCamera,
     FocalEstimated,
     FocalSuspicious,
     FocalContradicted,
@@ -29,11 +30,12 @@ pub enum Kind {
 }
 
 /// In the order in which reports show them.
-pub const KINDS: [Kind; 21] = [
+pub const KINDS: [Kind; 22] = [
     Kind::NoFullTurn,
     Kind::FewFrames,
     Kind::LowResolution,
     Kind::BlurredClip,
+    Kind::NearCamera,
     Kind::FocalEstimated,
     Kind::FocalSuspicious,
     Kind::FocalContradicted,
@@ -70,6 +72,7 @@ impl Kind {
             Kind::FewFrames => "few_frames",
             Kind::BlurredClip => "blurred_clip",
             Kind::LowResolution => "low_resolution",
+            Kind::NearCamera => "near_camera",
             Kind::FocalEstimated => "focal_estimated",
             Kind::FocalSuspicious => "focal_suspicious",
             Kind::FocalContradicted => "focal_contradicted",
@@ -97,6 +100,7 @@ impl Kind {
             Kind::FewFrames => "frames",
             Kind::BlurredClip => "sharpness, median",
             Kind::LowResolution => "px of the person's height, median",
+            Kind::NearCamera => "of the person's height, from camera to pelvis, median",
             Kind::FocalEstimated => "px",
             Kind::FocalSuspicious => "degrees along the longer side",
             Kind::FocalContradicted => "focal length that the clip tells, over the given one",
@@ -139,6 +143,10 @@ impl Kind {
             }
             Kind::LowResolution => {
                 "Come nearer or film in a higher resolution, upright, so that the person fills the picture."
+            }
+            Kind::NearCamera => {
+                "Step back and zoom in: from close by, feet and crown are seen at a slant, which tells less of poses and \
+                 proportions."
             }
             Kind::FocalEstimated => "Give the camera's focal length: from a guess, size and distance are less exact.",
             Kind::FocalSuspicious => {

@@ -2,7 +2,7 @@
 
 use super::export::Fitted;
 use super::score::FrameScore;
-use crate::avatar::AvatarModel;
+use crate::avatar::{AvatarModel, view_space};
 use crate::fit::stage0::ADULT_STATURE;
 use crate::quality::{self, FitFindings, Flag, FrameMeasures, SurfaceCheck};
 
@@ -17,8 +17,10 @@ pub(super) struct Quality<'a> {
 impl<'a> Quality<'a> {
     /// `seen [F]`: the faces that a frame shows.
     pub fn of(fitted: &'a Fitted, model: &AvatarModel, scores: &[FrameScore], seen: &[bool]) -> Self {
+        let undressed = model.body.shaped_vertices(&model.betas);
         let swapped: Vec<u32> = fitted.start.report.swapped.iter().map(|&t| model.frames[t]).collect();
         let iou: Vec<f64> = scores.iter().map(|s| s.iou).collect();
+        let distances = distances_in_heights(model, &undressed);
         let found = FitFindings {
             frames: &model.frames,
             iou: &iou,
@@ -26,12 +28,12 @@ impl<'a> Quality<'a> {
             swapped: &swapped,
             camera: &model.camera,
             camera_estimated: fitted.capture.camera_estimated,
+            distances: &distances,
             focal_ratio: fitted.focal_ratio,
             guessed_height_m: fitted.start.report.guessed_height_m,
             usual_height_m: ADULT_STATURE,
             hem: fitted.skirt.map(|skirt| f64::from(skirt.hem)),
         };
-        let undressed = model.body.shaped_vertices(&model.betas);
         let surface = quality::check_surface(&model.rest_vertices(), &undressed, &model.body.faces, seen);
         let mut flags = quality::clip_flags(&fitted.measures);
         flags.extend(quality::fit_flags(&found));
@@ -39,4 +41,14 @@ impl<'a> Quality<'a> {
         flags.sort_by_key(|flag| quality::KINDS.iter().position(|kind| kind.code() == flag.code));
         Self { flags, frames: &fitted.measures, surface }
     }
+}
+
+/// `[N]` from the camera to the pelvis, over the height of the `undressed` body, `[V, 3]`.
+fn distances_in_heights(model: &AvatarModel, undressed: &[[f32; 3]]) -> Vec<f64> {
+    let heights = || undressed.iter().map(|v| f64::from(v[1]));
+    let height = heights().fold(f64::NEG_INFINITY, f64::max) - heights().fold(f64::INFINITY, f64::min);
+    let pelvis = model.body.shaped_joints(&model.betas)[0];
+    let places: Vec<[f32; 3]> = model.transl.iter().map(|t| std::array::from_fn(|k| pelvis[k] + t[k])).collect();
+    let length = |p: &[f32; 3]| f64::from(glam::Vec3::from(*p).length());
+    view_space(&places, &model.camera).iter().map(|p| length(p) / height).collect()
 }

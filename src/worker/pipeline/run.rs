@@ -71,8 +71,7 @@ pub fn run(
     let mut state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
     if let Some(skirt) = skirt {
-        skirt.fill(&body, &mut state);
-        skirt.hang(&mut body, &mut state);
+        skirt.tailor(&mut body, &mut state);
     }
     let done = export::Fitted { body, capture, measures, focal_ratio, start, state, skirt, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)

@@ -1,22 +1,23 @@
 //! Cloth that hangs from leg to leg: a skirt, a dress, a long coat. The body's legs are two, so a fit that follows the masks
-//! leaves a valley between them, in front and behind, that no silhouette shows, and legs that take half of the cloth each with
-//! them when they part. Neither is in the paper. Here such cloth is found, its valleys are filled, and it is carried by both legs.
+//! leaves a valley between them, in front and behind, that no silhouette shows, walls inside where the legs meet, and legs that
+//! take half of the cloth each with them when they part. Neither is in the paper. Here such cloth is found, its valleys are
+//! filled, its walls are cut out, and it is carried by both legs.
 
-use glam::{Mat3, Vec2, Vec3};
+mod outline;
+mod standing;
 
+use glam::Vec3;
+
+use self::outline::Outline;
+use self::standing::Standing;
 use super::state::FitState;
 use crate::body::{Body, N_INFLUENCES, N_JOINTS};
 use crate::ops::Topology;
-use crate::ops::skinning::cpu::{Posed, Transform, forward};
 
 /// Numbers of a pose
 const N_POSE: usize = 3 * N_JOINTS;
-/// Hip, knee, ankle: left, right.
-const LEGS: [[usize; 3]; 2] = [[1, 4, 7], [2, 5, 8]];
 /// Thighs and shanks: left, right.
 const CARRYING: [[usize; 2]; 2] = [[1, 2], [4, 5]];
-/// From the upper arms on.
-const ARMS: std::ops::Range<u32> = 16..24;
 
 /// Heights that are looked at, between hip (0) and ankle (1).
 const ROWS: usize = 48;
@@ -31,10 +32,13 @@ const FADE: f32 = 0.04;
 /// The same towards a leg's axis, of its distance from the middle, and for carrying above the hip, of a leg.
 const FADE_ACROSS: f32 = 0.15;
 const FADE_ABOVE: f32 = 0.15;
-/// Places across a section at which its front and back are told.
-const PLACES: usize = 41;
 /// Rounds of smoothing of what filling moves: without it, of a made coat's inner side 52 vertices stick out, with it less than 8.
 const ROUNDS: usize = 4;
+
+/// How near the middle both legs' surface is where it is a wall, of a leg's distance from it, and how far behind the cloth's front
+/// and before its back, of the way from one to the other.
+const WALL: f32 = 0.25;
+const BEHIND: f32 = 0.1;
 
 /// Such cloth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,40 +65,81 @@ impl Skirt {
         hem.filter(|_| widest > GAP_M).map(|hem| Self { hem })
     }
 
-    /// Brings the surface between the legs out to where cloth would hang that touches both, in front and behind.
-    pub fn fill(&self, body: &Body, state: &mut FitState) {
+    /// Makes one piece of what the fit has shaped of two legs. `body` loses faces and changes its weights, `state` those faces'
+    /// colours; its offsets change so that the surface of the clip's mean pose stays but for valleys and walls.
+    pub fn tailor(&self, body: &mut Body, state: &mut FitState) {
+        self.fill(body, state, Outline::stretched, ROUNDS);
+        let seam = self.cut(body, state);
+        // Without walls the cloth between the legs is a front and a back, which go all the way.
+        self.fill(body, state, Outline::outermost, 0);
+        self.hang(body, state);
+        sew(body, state, &seam);
+    }
+
+    /// Brings the surface between the legs out to where cloth would hang that touches both, in front and behind: `goes` tells
+    /// where from a section, x and z; the way is smoothed in so many rounds.
+    fn fill(&self, body: &Body, state: &mut FitState, goes: fn(&Outline, f32, f32) -> f32, rounds: usize) {
         let standing = Standing::new(body, state, &state.offsets);
-        let rows: Vec<(f32, Outline)> = (0..=ROWS)
-            .map(|row| self.hem * row as f32 / ROWS as f32)
-            .filter_map(|along| Some((along, Outline::of(&standing.section(along))?)))
-            .collect();
+        let outlines = self.outlines(&standing);
         let moves: Vec<Option<f32>> = (0..body.n_vertices())
             .map(|v| {
                 let (z, place) = (standing.posed.vertices[v][2], standing.place(v));
                 let weight =
                     self.weight(place.y) * smooth((1.0 - place.x.abs()) / FADE_ACROSS) * smooth(place.y / FADE);
-                let nearest = rows.iter().min_by(|a, b| (a.0 - place.y).abs().total_cmp(&(b.0 - place.y).abs()));
-                let (_, outline) = nearest.filter(|_| weight > 0.0 && !standing.of_arm[v])?;
-                Some(weight * (outline.filled(place.x, z) - z))
+                let outline = nearest(&outlines, place.y).filter(|_| weight > 0.0 && !standing.of_arm[v])?;
+                Some(weight * (goes(outline, place.x, z) - z))
             })
             .collect();
-        let moves = smoothed(&Topology::new(body.n_vertices(), &body.faces), moves);
+        let moves = smoothed(&Topology::new(body.n_vertices(), &body.faces), moves, rounds);
         let moved = |(&v, dz): (&[f32; 3], &Option<f32>)| Vec3::from(v) + dz.unwrap_or(0.0) * Vec3::Z;
         let vertices: Vec<Vec3> = standing.posed.vertices.iter().zip(&moves).map(moved).collect();
         standing.lay(body, state, &vertices);
     }
 
+    /// Leaves out the faces of the legs' inner sides that lie between the cloth's front and back: nobody sees them, and cloth has
+    /// none there. Returns the pairs of vertices, left and right, along the cut.
+    fn cut(&self, body: &mut Body, state: &mut FitState) -> Vec<[usize; 2]> {
+        let standing = Standing::new(body, state, &state.offsets);
+        let outlines = self.outlines(&standing);
+        let is_inside = |v: usize| {
+            let (z, place) = (standing.posed.vertices[v][2], standing.place(v));
+            let hidden = (0.0..self.hem).contains(&place.y) && place.x.abs() < WALL && !standing.of_arm[v];
+            let depth = nearest(&outlines, place.y).filter(|_| hidden).map_or(0.0, |o| o.depth(place.x, z));
+            (BEHIND..1.0 - BEHIND).contains(&depth)
+        };
+        let mirror = |v: usize| body.mirror[v] as usize;
+        let wall: Vec<bool> =
+            (0..body.n_vertices()).map(|v| mirror(v) != v && is_inside(v) && is_inside(mirror(v))).collect();
+        let stays: Vec<bool> = body.faces.iter().map(|face| !face.iter().any(|&v| wall[v as usize])).collect();
+        let mut seam: Vec<[usize; 2]> = Vec::new();
+        for (face, _) in body.faces.iter().zip(&stays).filter(|(_, stays)| !**stays) {
+            let edge = face.iter().map(|&v| v as usize).filter(|&v| !wall[v] && mirror(v) != v);
+            seam.extend(edge.map(|v| [v.min(mirror(v)), v.max(mirror(v))]));
+        }
+        seam.sort_unstable();
+        seam.dedup();
+        retain(&mut body.faces, &stays);
+        retain(&mut body.uv_faces, &stays);
+        let mut colours = state.face_colours.as_chunks::<3>().0.to_vec();
+        retain(&mut colours, &stays);
+        state.face_colours = colours.concat();
+        seam
+    }
+
+    /// Sections from hip to hem, by their height.
+    fn outlines(&self, standing: &Standing) -> Vec<(f32, Outline)> {
+        let heights = (0..=ROWS).map(|row| self.hem * row as f32 / ROWS as f32);
+        heights.filter_map(|along| Some((along, Outline::of(&standing.section(along))?))).collect()
+    }
+
     /// Lets both legs carry the cloth between them, each the more the nearer it is; what hangs beyond a leg goes with that one.
     /// The surface of the clip's mean pose stays.
-    pub fn hang(&self, body: &mut Body, state: &mut FitState) {
+    fn hang(&self, body: &mut Body, state: &mut FitState) {
         let standing = Standing::new(body, state, &state.offsets);
         for v in (0..body.n_vertices()).filter(|&v| !standing.of_arm[v]) {
             let place = standing.place(v);
             let hanging = self.weight(place.y) * smooth((place.y + FADE_ABOVE) / FADE_ABOVE);
-            let mut weights = [0.0f32; N_JOINTS];
-            for (&joint, weight) in body.lbs_joints[v].iter().zip(body.lbs_weights[v]) {
-                weights[joint as usize] += weight;
-            }
+            let mut weights = weights(body, v);
             for [left, right] in CARRYING {
                 let both = weights[left] + weights[right];
                 if both > 0.0 {
@@ -115,14 +160,43 @@ impl Skirt {
     }
 }
 
+/// Closes the cut: each pair meets half way in the clip's mean pose, with weights half way as well, so that it stays closed in all
+/// others (but for blend shapes of the pose, if the body has any: they may differ by side).
+fn sew(body: &mut Body, state: &mut FitState, seam: &[[usize; 2]]) {
+    let standing = Standing::new(body, state, &state.offsets);
+    let mut vertices: Vec<Vec3> = standing.posed.vertices.iter().map(|&v| v.into()).collect();
+    for &[a, b] in seam {
+        let middle = vertices[a].midpoint(vertices[b]);
+        let (of_a, of_b) = (weights(body, a), weights(body, b));
+        let mean = strongest(&std::array::from_fn(|j| 0.5 * (of_a[j] + of_b[j])));
+        for v in [a, b] {
+            vertices[v] = middle;
+            (body.lbs_joints[v], body.lbs_weights[v]) = mean;
+        }
+    }
+    standing.lay(body, state, &vertices);
+}
+
+/// The section that is nearest to a height.
+fn nearest(outlines: &[(f32, Outline)], along: f32) -> Option<&Outline> {
+    let nearest = outlines.iter().min_by(|a, b| (a.0 - along).abs().total_cmp(&(b.0 - along).abs()));
+    nearest.map(|(_, outline)| outline)
+}
+
+/// Keeps the rows that stay; there may be none at all.
+fn retain<T>(rows: &mut Vec<T>, stays: &[bool]) {
+    let mut stays = stays.iter();
+    rows.retain(|_| *stays.next().expect("a row for each"));
+}
+
 fn smooth(t: f32) -> f32 {
     let t = t.clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
 /// Numbers of vertices, each drawn towards its neighbours' mean; those that have none count as zero and stay.
-fn smoothed(topology: &Topology, mut values: Vec<Option<f32>>) -> Vec<Option<f32>> {
-    for _ in 0..ROUNDS {
+fn smoothed(topology: &Topology, mut values: Vec<Option<f32>>, rounds: usize) -> Vec<Option<f32>> {
+    for _ in 0..rounds {
         let mean = |v: usize| {
             let around = topology.neighbours.row(v);
             let sum: f32 = around.iter().map(|&n| values[n as usize].unwrap_or(0.0)).sum();
@@ -131,6 +205,15 @@ fn smoothed(topology: &Topology, mut values: Vec<Option<f32>>) -> Vec<Option<f32
         values = values.iter().enumerate().map(|(v, value)| value.map(|value| 0.5 * (value + mean(v)))).collect();
     }
     values
+}
+
+/// The weights of a vertex by joint.
+fn weights(body: &Body, v: usize) -> [f32; N_JOINTS] {
+    let mut weights = [0.0; N_JOINTS];
+    for (&joint, weight) in body.lbs_joints[v].iter().zip(body.lbs_weights[v]) {
+        weights[joint as usize] += weight;
+    }
+    weights
 }
 
 /// The greatest weights of all joints, with a sum of one.
@@ -143,168 +226,10 @@ fn strongest(weights: &[f32; N_JOINTS]) -> ([u32; N_INFLUENCES], [f32; N_INFLUEN
     (std::array::from_fn(|k| kept(k).0), std::array::from_fn(|k| kept(k).1))
 }
 
-/// The body in the clip's mean pose, upright: x to its left, y up, z ahead.
-struct Standing {
-    posed: Posed<f32>,
-    of_arm: Vec<bool>,
-    /// Edges of the surface without arms
-    edges: Vec<[u32; 2]>,
-}
-
-impl Standing {
-    fn new(body: &Body, state: &FitState, offsets: &[f32]) -> Self {
-        let n = state.n_frames().max(1) as f32;
-        let mut pose = [0.0; N_POSE];
-        for frame in state.poses.chunks(N_POSE) {
-            pose.iter_mut().zip(frame).for_each(|(mean, angle)| *mean += angle / n);
-        }
-        pose[..3].fill(0.0);
-        let posed = forward(body, &state.betas, Some(offsets.as_chunks().0), &pose, [0.0; 3]);
-        let is_of_arm = |v| body.weight_of(v, |joint| ARMS.contains(&joint)) > 0.5;
-        let of_arm: Vec<bool> = (0..body.n_vertices()).map(is_of_arm).collect();
-        let edges = body.faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
-        let edges = edges.filter(|edge| edge.iter().all(|&v| !of_arm[v as usize])).collect();
-        Self { posed, of_arm, edges }
-    }
-
-    fn joint(&self, side: usize, k: usize) -> Vec3 {
-        self.posed.joints[LEGS[side][k]].into()
-    }
-
-    /// Height of hips, of knees, of ankles: the mean of both.
-    fn height(&self, k: usize) -> f32 {
-        0.5 * (self.joint(0, k).y + self.joint(1, k).y)
-    }
-
-    /// x of both legs' axes; above the hips, that of the hips.
-    fn axes(&self, along: f32) -> [f32; 2] {
-        let knee = (self.height(0) - self.height(1)) / (self.height(0) - self.height(2));
-        let between = |side: usize, k: usize, t: f32| self.joint(side, k).lerp(self.joint(side, k + 1), t).x;
-        [0, 1].map(|side| match along < knee {
-            true => between(side, 0, (along / knee).max(0.0)),
-            false => between(side, 1, (along - knee) / (1.0 - knee)),
-        })
-    }
-
-    /// Half of the distance between the legs' axes, metres.
-    fn half_width(&self, along: f32) -> f32 {
-        let [left, right] = self.axes(along);
-        (0.5 * (left - right)).max(1e-3)
-    }
-
-    /// x between the legs' axes (−1 the right one's, 1 the left one's), y from hip (0) to ankle (1).
-    fn place(&self, v: usize) -> Vec2 {
-        let [x, y, _] = self.posed.vertices[v];
-        let along = (self.height(0) - y) / (self.height(0) - self.height(2));
-        Vec2::new(self.across(x, along), along)
-    }
-
-    fn across(&self, x: f32, along: f32) -> f32 {
-        let [left, right] = self.axes(along);
-        (x - 0.5 * (left + right)) / self.half_width(along)
-    }
-
-    /// Where the surface crosses a height: x as of [`Standing::place`], and z in metres.
-    fn section(&self, along: f32) -> Vec<Vec2> {
-        let y = self.height(0) + along * (self.height(2) - self.height(0));
-        let at = |v: u32| Vec3::from(self.posed.vertices[v as usize]);
-        let crossing = |[a, b]: [u32; 2]| {
-            let (a, b) = (at(a), at(b));
-            let point = a.lerp(b, (y - a.y) / (b.y - a.y));
-            ((a.y < y) != (b.y < y)).then(|| Vec2::new(self.across(point.x, along), point.z))
-        };
-        self.edges.iter().filter_map(|&edge| crossing(edge)).collect()
-    }
-
-    /// Sets the offsets so that the body, by its present weights, has these vertices in this pose.
-    fn lay(&self, body: &Body, state: &mut FitState, vertices: &[Vec3]) {
-        for (v, (offset, &vertex)) in state.offsets.as_chunks_mut::<3>().0.iter_mut().zip(vertices).enumerate() {
-            let (rotation, translation) = blend(&self.posed.transforms, &body.lbs_joints[v], &body.lbs_weights[v]);
-            let rest = rotation.inverse() * (vertex - translation);
-            // Blend shapes of the pose are added between offset and skinning, and are as they were.
-            *offset = (Vec3::from(*offset) + rest - Vec3::from(self.posed.v_posed[v])).into();
-        }
-    }
-}
-
-/// Linear blend skinning's transform of one vertex.
-fn blend(transforms: &[Transform<f32>], joints: &[u32], weights: &[f32]) -> (Mat3, Vec3) {
-    let mut sum = (Mat3::ZERO, Vec3::ZERO);
-    for (&joint, &weight) in joints.iter().zip(weights) {
-        let Transform { rotation, translation } = &transforms[joint as usize];
-        // Rows, as the operators keep them.
-        sum.0 += weight * Mat3::from_cols_array_2d(rotation).transpose();
-        sum.1 += weight * Vec3::from(*translation);
-    }
-    sum
-}
-
-/// Front and back of a section between the legs' axes.
-struct Outline {
-    /// `[PLACES]` from the right axis to the left: back and front of the surface
-    surface: Vec<[f32; 2]>,
-    /// The same of its convex hull
-    hull: Vec<[f32; 2]>,
-}
-
-impl Outline {
-    /// `None` where a leg is not there.
-    fn of(section: &[Vec2]) -> Option<Self> {
-        let mut points: Vec<Vec2> = section.iter().copied().filter(|p| p.x.abs() < 1.2).collect();
-        points.sort_by(|a, b| a.x.total_cmp(&b.x));
-        if points.first()?.x > -0.9 || points.last()?.x < 0.9 {
-            return None;
-        }
-        let (front, back) = (upper_hull(&points, 1.0), upper_hull(&points, -1.0));
-        let width = 2.0 / (PLACES - 1) as f32;
-        let (mut surface, mut hull) = (Vec::new(), Vec::new());
-        for k in 0..PLACES {
-            let x = -1.0 + width * k as f32;
-            let here = points.iter().filter(|p| (p.x - x).abs() <= 1.5 * width).map(|p| p.y);
-            let (low, high) = here.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
-            let outer = [-height_at(&back, x), height_at(&front, x)];
-            hull.push(outer);
-            surface.push(if low < high { [low, high] } else { outer });
-        }
-        Some(Self { surface, hull })
-    }
-
-    /// Where `z` goes when the surface at `x` is stretched to the hull.
-    fn filled(&self, x: f32, z: f32) -> f32 {
-        let at = (0.5 * (x + 1.0)).clamp(0.0, 1.0) * (PLACES - 1) as f32;
-        let (k, t) = ((at as usize).min(PLACES - 2), at - (at as usize).min(PLACES - 2) as f32);
-        let between = |of: &[[f32; 2]], side: usize| of[k][side] + t * (of[k + 1][side] - of[k][side]);
-        let [back, front] = [0, 1].map(|side| between(&self.surface, side));
-        let [hull_back, hull_front] = [0, 1].map(|side| between(&self.hull, side));
-        let part = ((z - back) / (front - back).max(0.01)).clamp(0.0, 1.0);
-        hull_back + part * (hull_front - hull_back)
-    }
-}
-
-/// The upper convex hull of points that are sorted by x, their y times `sign`.
-fn upper_hull(points: &[Vec2], sign: f32) -> Vec<Vec2> {
-    let mut hull: Vec<Vec2> = Vec::new();
-    for point in points.iter().map(|p| Vec2::new(p.x, sign * p.y)) {
-        while let [.., a, b] = hull[..]
-            && (b - a).perp_dot(point - a) >= 0.0
-        {
-            hull.pop();
-        }
-        hull.push(point);
-    }
-    hull
-}
-
-/// The height of a line of points sorted by x.
-fn height_at(line: &[Vec2], x: f32) -> f32 {
-    let next = line.partition_point(|p| p.x < x).clamp(1, line.len() - 1);
-    let (a, b) = (line[next - 1], line[next]);
-    a.y + (b.y - a.y) * ((x - a.x) / (b.x - a.x).max(1e-6)).clamp(0.0, 1.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ops::skinning::cpu::forward;
     use crate::ops::texture_field::TextureFieldConfig;
 
     /// Legs apart as in an A-pose, in two frames that differ a little.
@@ -402,7 +327,7 @@ mod tests {
         wear(&body, &mut state, 0.6);
         let skirt = Skirt::find(&body, &state).unwrap();
         let before = Standing::new(&body, &state, &state.offsets);
-        skirt.fill(&body, &mut state);
+        skirt.fill(&body, &mut state, Outline::stretched, ROUNDS);
         let after = Standing::new(&body, &state, &state.offsets);
         let extent = |standing: &Standing| {
             let section = standing.section(0.5 * skirt.hem);
@@ -418,12 +343,44 @@ mod tests {
         }
     }
 
+    /// Edges of which one face is known alone, vertices in one place counting as one.
+    fn open_edges(faces: &[[u32; 3]], vertices: &[[f32; 3]]) -> usize {
+        let place = |v: u32| vertices[v as usize].map(|x| (x * 1e4).round() as i32);
+        let mut edges = std::collections::HashMap::new();
+        for &[a, b, c] in faces {
+            for edge in [[a, b], [b, c], [c, a]] {
+                let mut ends = edge.map(place);
+                ends.sort_unstable();
+                *edges.entry(ends).or_insert(0) += 1;
+            }
+        }
+        edges.values().filter(|&&n| n == 1).count()
+    }
+
     #[test]
-    fn hulls_have_no_valleys() {
-        let points: Vec<Vec2> =
-            [(-1.0, 0.2), (-0.5, 0.6), (0.0, 0.1), (0.5, 0.6), (1.0, 0.0)].map(|(x, z)| Vec2::new(x, z)).to_vec();
-        let front = upper_hull(&points, 1.0);
-        assert_eq!([-0.5, 0.0, 0.25].map(|x| height_at(&front, x)), [0.6; 3]);
-        assert!((-height_at(&upper_hull(&points, -1.0), 0.0) - 0.1).abs() < 1e-6);
+    fn a_tailored_skirt_is_one_piece_without_walls_and_stays_closed() {
+        let mut body = Body::test_body();
+        let mut state = standing(&body);
+        wear(&body, &mut state, 0.6);
+        let skirt = Skirt::find(&body, &state).unwrap();
+        let within = |body: &Body, state: &FitState| {
+            let section = Standing::new(body, state, &state.offsets).section(0.5 * skirt.hem);
+            let outline = Outline::of(&section).unwrap();
+            let inside = |p: &&glam::Vec2| p.x.abs() < 0.2 && (0.3..0.7).contains(&outline.depth(p.x, p.y));
+            section.iter().filter(inside).count()
+        };
+        assert!(within(&body, &state) > 0, "walls before");
+        let all = body.n_faces();
+        let before = open_edges(&body.faces, &Standing::new(&body, &state, &state.offsets).posed.vertices);
+        skirt.tailor(&mut body, &mut state);
+        body.check().unwrap();
+        assert!(body.n_faces() < all && state.face_colours.len() == 3 * body.n_faces());
+        assert_eq!((body.uv_faces.len(), within(&body, &state)), (body.n_faces(), 0));
+        for apart in [0.0, 0.3, 0.6] {
+            let mut pose = [0.0; N_POSE];
+            (pose[3], pose[5], pose[8], pose[12]) = (-apart, apart, -apart, apart);
+            let posed = forward(&body, &state.betas, Some(state.offsets.as_chunks().0), &pose, [0.0; 3]);
+            assert_eq!(open_edges(&body.faces, &posed.vertices), before, "legs apart by {apart}");
+        }
     }
 }
