@@ -40,6 +40,11 @@ const ROUNDS: usize = 4;
 const WALL: f32 = 0.25;
 const BEHIND: f32 = 0.1;
 
+/// How far from the middle legs begin below the hem, of a leg's distance from it, and by how much of a leg what is between them is
+/// lifted.
+const LEG: f32 = 0.6;
+const TUCK: f32 = 0.05;
+
 /// Such cloth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Skirt {
@@ -72,6 +77,7 @@ impl Skirt {
         let seam = self.cut(body, state);
         // Without walls the cloth between the legs is a front and a back, which go all the way.
         self.fill(body, state, Outline::outermost, 0);
+        self.tuck(body, state);
         self.hang(body, state);
         sew(body, state, &seam);
     }
@@ -124,6 +130,25 @@ impl Skirt {
         retain(&mut colours, &stays);
         state.face_colours = colours.concat();
         seam
+    }
+
+    /// Lifts what closes the cloth from below into it, between the legs: no silhouette shows how far it hangs down there, behind
+    /// the hem's front.
+    fn tuck(&self, body: &Body, state: &mut FitState) {
+        let standing = Standing::new(body, state, &state.offsets);
+        let outlines = self.outlines(&standing);
+        let leg = standing.height(0) - standing.height(2);
+        let mut vertices: Vec<Vec3> = standing.posed.vertices.iter().map(|&v| v.into()).collect();
+        for v in (0..body.n_vertices()).filter(|&v| !standing.of_arm[v]) {
+            let place = standing.place(v);
+            let Some(outline) = nearest(&outlines, place.y).filter(|_| (place.y - self.hem).abs() < 2.0 * TUCK) else {
+                continue;
+            };
+            let depth = outline.depth(place.x, vertices[v].z);
+            let within = smooth((LEG - place.x.abs()) / 0.3) * smooth(depth.min(1.0 - depth) / BEHIND - 1.0);
+            vertices[v].y += within * TUCK * leg;
+        }
+        standing.lay(body, state, &vertices);
     }
 
     /// Sections from hip to hem, by their height.
@@ -370,12 +395,21 @@ mod tests {
             section.iter().filter(inside).count()
         };
         assert!(within(&body, &state) > 0, "walls before");
+        // How far down anything hangs between the legs.
+        let lowest = |body: &Body, state: &FitState| {
+            let standing = Standing::new(body, state, &state.offsets);
+            let places = body.faces.as_flattened().iter().map(|&v| standing.place(v as usize));
+            places.filter(|p| p.x.abs() < 0.15).map(|p| p.y).fold(0.0, f32::max)
+        };
+        let hangs = lowest(&body, &state);
         let all = body.n_faces();
         let before = open_edges(&body.faces, &Standing::new(&body, &state, &state.offsets).posed.vertices);
         skirt.tailor(&mut body, &mut state);
         body.check().unwrap();
         assert!(body.n_faces() < all && state.face_colours.len() == 3 * body.n_faces());
         assert_eq!((body.uv_faces.len(), within(&body, &state)), (body.n_faces(), 0));
+        let tucked = hangs - lowest(&body, &state);
+        assert!(tucked > 0.5 * TUCK, "{tucked} of a leg");
         for apart in [0.0, 0.3, 0.6] {
             let mut pose = [0.0; N_POSE];
             (pose[3], pose[5], pose[8], pose[12]) = (-apart, apart, -apart, apart);
