@@ -98,4 +98,19 @@ mod tests {
         assert_eq!([-0.5, 0.0, 0.25].map(|x| height_at(&front, x)), [0.6; 3]);
         assert!((-height_at(&upper_hull(&points, -1.0), 0.0) - 0.1).abs() < 1e-6);
     }
+
+    #[test]
+    fn a_valley_goes_to_the_hull_and_the_middle_stays_or_is_stretched() {
+        let across = (-11..=11).map(|k| 0.1 * k as f32);
+        let section: Vec<Vec2> =
+            across.flat_map(|x| [Vec2::new(x, 0.15 - 0.06 * (1.0 - x.abs()).max(0.0)), Vec2::new(x, -0.15)]).collect();
+        let outline = Outline::of(&section).unwrap();
+        let near = |have: f32, want: f32| assert!((have - want).abs() < 0.01, "{have}, expected {want}");
+        for (z, outermost, stretched) in [(0.09, 0.15, 0.15), (-0.15, -0.15, -0.15), (0.0, 0.0, 0.0375)] {
+            near(outline.outermost(0.0, z), outermost);
+            near(outline.stretched(0.0, z), stretched);
+        }
+        near(outline.depth(0.0, 0.0), 0.625);
+        assert!(Outline::of(&section[..20]).is_none(), "one leg");
+    }
 }
