@@ -30,10 +30,11 @@ pub enum ExportError {
 
 impl Renderer {
     /// The mesh of captured frame `k` (an index into `frames`) in world space, or the T-pose, with vertex colours from
-    /// the texture. `None` where there is no such frame. Waits.
+    /// the texture, and without vertices that no face has. `None` where there is no such frame. Waits.
     pub fn mesh(&self, k: Option<usize>) -> Result<Option<Mesh>, GpuError> {
         let Some(mesh) = self.model().mesh(k) else { return Ok(None) };
-        Ok(Some(Mesh { colours: self.texture().vertex_colours(self.gpu())?, ..mesh }))
+        let colours = self.texture().vertex_colours(self.gpu())?;
+        Ok(Some(Mesh { colours, ..mesh }.without_loose_vertices()))
     }
 
     /// The texture field baked to a square of `size_px`. Waits.

@@ -13,6 +13,23 @@ pub struct Mesh {
     pub colours: Vec<[u8; 3]>,
 }
 
+impl Mesh {
+    /// The same surface without the vertices that no face has.
+    pub fn without_loose_vertices(&self) -> Mesh {
+        let mut used = vec![false; self.vertices.len()];
+        self.faces.as_flattened().iter().for_each(|&v| used[v as usize] = true);
+        let mut mesh = Mesh::default();
+        let mut place = vec![0; used.len()];
+        for v in (0..used.len()).filter(|&v| used[v]) {
+            place[v] = mesh.vertices.len() as u32;
+            mesh.vertices.push(self.vertices[v]);
+            mesh.colours.extend(self.colours.get(v));
+        }
+        mesh.faces = self.faces.iter().map(|face| face.map(|v| place[v as usize])).collect();
+        mesh
+    }
+}
+
 /// Why a PLY file could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum PlyError {
@@ -208,6 +225,19 @@ mod tests {
             write(&mesh, &mut bytes).unwrap();
             assert_eq!(read(bytes.as_slice()).unwrap(), mesh);
         }
+    }
+
+    #[test]
+    fn loose_vertices_go_and_the_surface_stays() {
+        let whole = triangle();
+        assert_eq!(whole.without_loose_vertices(), whole);
+        let mut loose = whole.clone();
+        loose.vertices.insert(1, [9.0; 3]);
+        loose.colours.insert(1, [9; 3]);
+        loose.faces = vec![[0, 2, 3], [3, 2, 0]];
+        assert_eq!(loose.without_loose_vertices(), whole);
+        loose.colours.clear();
+        assert_eq!(loose.without_loose_vertices(), Mesh { colours: Vec::new(), ..whole });
     }
 
     #[test]
