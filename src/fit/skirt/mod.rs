@@ -1,6 +1,6 @@
 //! Cloth that hangs from leg to leg: a skirt, a dress, a long coat. The body's legs are two, so a fit that follows the masks
 //! leaves a valley between them, in front and behind, that no silhouette shows, walls inside where the legs meet, and legs that
-//! take half of the cloth each with them when they part. Neither is in the paper. Here such cloth is found, its valleys are
+//! take half of the cloth each with them when they part. None of it is in the paper. Here such cloth is found, its valleys are
 //! filled, its walls are cut out, and it is carried by both legs.
 
 mod outline;
