@@ -15,7 +15,7 @@ pub enum SilhouetteGradient {
 /// Weights λ of the losses of a stage. Image sums are divided by the frame's foreground pixels first, keypoints by their
 /// number and the square of a hundredth of the image side, mesh sums by the number of faces: one set serves all
 /// resolutions. A term of weight zero is not computed.
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[derive(Default, Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Weights {
     /// On the hard image.
     pub rgb: f32,
@@ -227,6 +227,16 @@ impl FitConfig {
         self
     }
 
+    /// Some more passes with the texture alone, in stage 2; shape and poses stand. For a surface that has changed since.
+    pub fn texture_alone(mut self) -> Self {
+        let Weights { rgb, rgb_soft, silhouette, .. } = self.texture.weights;
+        self.texture.shape = false;
+        self.texture.weights = Weights { rgb, rgb_soft, silhouette, ..Weights::default() };
+        let last = self.texture.phases.pop();
+        self.texture.phases = last.map(|last| Phase { epochs: ALONE, pose_rate: 0.0, ..last }).into_iter().collect();
+        self
+    }
+
     /// Everything at once, the paper's "moving targets" (§3.6): the losses of the geometry stage, and as many passes as
     /// both stages have; those of the texture stage go on like the last of the geometry stage.
     pub fn joint(mut self) -> Self {
@@ -294,6 +304,9 @@ const COARSE: Phase = Phase {
 };
 
 const FINE: Phase = Phase { level: 0, sigma: 2e-5, depth_softness_m: 0.01, ..COARSE };
+
+/// Passes of [`FitConfig::texture_alone`].
+const ALONE: u32 = 6;
 
 const TEXTURED: Phase = Phase { preconditioner: Preconditioner::LargeSteps { lambda: 4.0 }, pose_rate: 0.5, ..FINE };
 

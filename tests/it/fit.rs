@@ -217,6 +217,55 @@ fn a_stopped_fit_goes_on_from_its_checkpoint() {
     assert!(witness.heard.iter().any(|p| p.stage == Stage::Geometry && p.step == 1));
 }
 
+/// Legs apart in all frames, and the gap between them closed from the crotch to the knees, as where a skirt was fitted.
+fn wear_a_skirt(body: &Body, state: &mut FitState) {
+    const APART: f32 = 0.12;
+    for pose in state.poses.chunks_mut(72) {
+        (pose[5], pose[8]) = (APART, -APART);
+    }
+    let [hip, knee] = [1, 4].map(|joint| body.j_template[joint]);
+    for (offset, v) in state.offsets.as_chunks_mut::<3>().0.iter_mut().zip(&body.v_template) {
+        let of_leg = (v[0] / hip[0]).abs();
+        if of_leg < 1.0 && (knee[1]..hip[1]).contains(&v[1]) {
+            // Where the leg's turn brings it to the middle.
+            let middle = hip[0] - (hip[0] + (hip[1] - v[1]) * APART.sin()) / APART.cos();
+            // A leg's inside is less than half as far from its axis as the middle is.
+            let drawn = (2.6 * (1.0 - of_leg)).min(1.0);
+            offset[0] = drawn * (middle * v[0].signum() - v[0]);
+        }
+    }
+}
+
+#[test]
+fn a_skirt_becomes_one_piece_and_learns_its_texture_anew() {
+    let Some(gpu) = gpu("a_skirt_becomes_one_piece_and_learns_its_texture_anew") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let start = Start::new(&gpu, 12);
+    let mut fitted = FitState { stage: fit::Stage::Done, ..start.state.clone() };
+    wear_a_skirt(&start.body, &mut fitted);
+    std::fs::create_dir_all(folder.path().join("work")).unwrap();
+    fitted.save(&checkpoint(folder.path())).unwrap();
+
+    let mut witness = Witness { stop_at: Some((Stage::Texture, 5)), ..Witness::default() };
+    let stopped = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness);
+    assert!(matches!(stopped, Err(PipelineError::Stopped(_))), "{stopped:?}");
+    let mut witness = Witness::default();
+    run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap();
+    let steps = witness.heard.iter().filter(|p| p.stage == Stage::Texture && p.step > 0).map(|p| p.step);
+    assert_eq!(steps.min(), Some(6), "it goes on where it was stopped");
+    assert!(witness.heard.iter().map(|p| p.progress).is_sorted());
+    assert!(!witness.previews.is_empty());
+
+    let model = AvatarModel::load(&folder.path().join("out/model.npz")).unwrap();
+    assert!(model.body.n_faces() < start.body.n_faces(), "no walls inside");
+    assert_eq!(model.face_colours.len(), model.body.n_faces());
+    assert_ne!(model.texture, start.state.field);
+    assert_eq!(model.betas, start.state.betas, "the shape stands");
+    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+    let flags = serde_json::from_slice::<serde_json::Value>(&report).unwrap()["quality"]["flags"].take();
+    assert!(flags.as_array().unwrap().iter().any(|f| f["code"] == "cloth_between_legs"), "{flags:#}");
+}
+
 /// Lets the fit run and keeps the last losses of each stage.
 #[derive(Default)]
 struct Patient {

@@ -10,6 +10,7 @@ use anyhow::anyhow;
 use super::preview::Previews;
 use super::{Observer, Outcome, PipelineError, PipelineInput, Preview, Progress, Stage, StopReason, export};
 use crate::body::Body;
+use crate::camera::Camera;
 use crate::capture::{Capture, CaptureOptions, Frame};
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, Stage0Error, Stage0Options, Stage0Result};
@@ -56,25 +57,38 @@ pub fn run(
     start.reread(&mut capture);
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
-    // A checkpoint that cannot be read is worth no more than none.
-    let state = match checkpoint.exists() {
-        true => fresh.resume(&checkpoint).ok().flatten().unwrap_or(fresh),
-        false => fresh,
-    };
-    if monitor.observer.takes_previews() {
-        monitor.previews = Some(Previews::new(&body, &capture, &start.camera, &config, &state));
-        // The person's pose and shape, all grey.
-        monitor.look(&state);
+    let state = resumed(fresh, &checkpoint);
+    let tailored = work_dir.join("tailored.npz");
+    if state.stage != fit::Stage::Done {
+        // What lies there is of an earlier fit.
+        let _ = std::fs::remove_file(&tailored);
     }
+    // The person's pose and shape, all grey.
+    monitor.preview_from(&body, &capture, &start.camera, &config, &state);
     monitor.start(Stage::Geometry)?;
     let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
     let mut state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
     if let Some(skirt) = skirt {
         skirt.tailor(&mut body, &mut state);
+        (state.stage, state.step) = (fit::Stage::Texture, 0);
+        let state_before = resumed(state, &tailored);
+        monitor.go_on_with(&tailored);
+        monitor.preview_from(&body, &capture, &start.camera, &config, &state_before);
+        let alone = config.clone().texture_alone();
+        let fitted = fit::run(gpu, &body, &capture, &start.camera, &alone, state_before, &tailored, &mut monitor);
+        state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     }
     let done = export::Fitted { body, capture, measures, focal_ratio, start, state, skirt, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)
+}
+
+/// A checkpoint that cannot be read is worth no more than none.
+fn resumed(fresh: FitState, checkpoint: &Path) -> FitState {
+    match checkpoint.exists() {
+        true => fresh.resume(checkpoint).ok().flatten().unwrap_or(fresh),
+        false => fresh,
+    }
 }
 
 /// Frames and pixels that a preset looks at.
@@ -188,6 +202,8 @@ pub(super) struct Monitor<'a> {
     losses: BTreeMap<String, f64>,
     /// Of the whole job.
     progress: f32,
+    /// Steps of the texture's stage before it began to go on with a tailored surface.
+    steps_before: u32,
     checkpoint: PathBuf,
     /// When the checkpoint was written that was last told of.
     saved: Option<SystemTime>,
@@ -210,6 +226,7 @@ impl<'a> Monitor<'a> {
             first_step: None,
             losses: BTreeMap::new(),
             progress: 0.0,
+            steps_before: 0,
             checkpoint: checkpoint.into(),
             saved: written(checkpoint),
             previews: None,
@@ -238,6 +255,21 @@ impl<'a> Monitor<'a> {
         self.tell(stage, 0, 1);
     }
 
+    /// Draws what is fitted on this body from now on, where that is wanted.
+    fn preview_from(&mut self, body: &Body, capture: &Capture, camera: &Camera, config: &FitConfig, state: &FitState) {
+        if self.observer.takes_previews() {
+            self.previews = Some(Previews::new(body, capture, camera, config, state));
+            self.look(state);
+        }
+    }
+
+    /// The stage goes on, and its steps are counted on, with another checkpoint.
+    fn go_on_with(&mut self, checkpoint: &Path) {
+        let told = self.told.as_ref().filter(|told| told.stage == Stage::Texture);
+        self.steps_before = told.map_or(0, |told| told.steps);
+        (self.checkpoint, self.saved) = (checkpoint.into(), written(checkpoint));
+    }
+
     fn go_on(&mut self) -> bool {
         let saved = written(&self.checkpoint);
         if saved != self.saved {
@@ -253,7 +285,8 @@ impl<'a> Monitor<'a> {
         let before: f32 = SHARES.iter().take_while(|(s, _)| *s != stage).map(|(_, share)| share).sum();
         let share = SHARES.iter().find(|(s, _)| *s == stage).map_or(0.0, |(_, share)| *share);
         let done = step as f32 / steps.max(1) as f32;
-        let progress = (before + share * done).min(1.0);
+        // More steps may come than were known of.
+        let progress = (before + share * done).clamp(self.progress, 1.0);
         self.progress = progress;
         let first = *self.first_step.get_or_insert(step);
         let elapsed = self.stage_started.elapsed().as_secs_f64();
@@ -283,11 +316,12 @@ impl Control for Monitor<'_> {
         if stage != self.stage {
             self.enter(stage);
         }
+        let (step, steps) = (self.steps_before + report.step, self.steps_before + report.steps);
         if let Some(losses) = report.losses {
             self.losses = losses.iter().map(|(name, value)| ((*name).to_owned(), *value as f64)).collect();
-            self.curves.push((stage, report.step, self.losses.clone()));
+            self.curves.push((stage, step, self.losses.clone()));
         }
-        self.tell(stage, report.step, report.steps);
+        self.tell(stage, step, steps);
         if self.go_on() { Flow::Continue } else { Flow::Stop }
     }
 
