@@ -1,4 +1,4 @@
-// shaded = values · (ambient + strength · lamp), added to it, or cut at one; see src/ops/light/mod.rs.
+// shaded = values · (ambient · part 0 + strength · part 1), added to it, or cut at one; see src/ops/light/mod.rs.
 #import shared/linear_index
 
 struct Params {
@@ -10,7 +10,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> count: array<u32>;
-@group(0) @binding(2) var<storage, read> lamps: array<f32>;
+@group(0) @binding(2) var<storage, read> parts: array<f32>; // [R, 2]
 @group(0) @binding(3) var<storage, read> values: array<f32>;
 @group(0) @binding(4) var<storage, read_write> shaded: array<f32>;
 
@@ -21,7 +21,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         return;
     }
     let at = 3u * i;
-    let shade = params.ambient + params.strength * lamps[i];
+    let shade = params.ambient * parts[2u * i] + params.strength * parts[2u * i + 1u];
     var result = vec3(values[at], values[at + 1u], values[at + 2u]) * shade;
     if params.write == 1u {
         result += vec3(shaded[at], shaded[at + 1u], shaded[at + 2u]);

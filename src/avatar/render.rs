@@ -12,7 +12,7 @@ use super::trace::{MAX_SIDE_PX, Picture, Shading, SurfacePoint, Tracer};
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
-use crate::ops::light::shadow::visibility;
+use crate::ops::light::Exposure;
 use crate::ops::skinning::cpu::{Posed, forward};
 use crate::ops::texture_field::TextureFieldError;
 
@@ -232,20 +232,15 @@ struct LitBody<'a> {
     model: &'a AvatarModel,
     /// `[V]`, unit
     normals: Vec<[f32; 3]>,
-    /// `[V]`: the share of the lamp that each vertex sees
-    visible: Vec<f32>,
+    /// `[V]`: what of the light reaches each vertex
+    exposures: Vec<Exposure>,
 }
 
 impl<'a> LitBody<'a> {
     fn new(model: &'a AvatarModel, vertices: &[[f32; 3]]) -> Self {
         let faces = &model.body.faces;
         let normals = vertex_normals(vertices, faces);
-        let visible = if model.light.has_lamp() {
-            visibility(model.light.direction, vertices, faces)
-        } else {
-            vec![1.0; vertices.len()]
-        };
-        Self { model, normals, visible }
+        Self { model, normals, exposures: model.light.exposures(vertices, faces) }
     }
 
     /// Puts the light on albedos.
@@ -254,7 +249,8 @@ impl<'a> LitBody<'a> {
             let corners = self.model.body.faces[point.face as usize].map(|v| v as usize);
             let weighted = |of: &dyn Fn(usize) -> f32| (0..3).map(|c| point.bary[c] * of(corners[c])).sum();
             let normal = std::array::from_fn(|k| weighted(&|v| self.normals[v][k]));
-            let shade = self.model.light.shade(normal, weighted(&|v| self.visible[v]));
+            let reaching = Exposure::weighted((0..3).map(|c| (point.bary[c], self.exposures[corners[c]])));
+            let shade = self.model.light.shade(normal, reaching);
             *rgb = std::array::from_fn(|k| (rgb[k] * shade[k]).min(1.0));
         }
     }

@@ -111,8 +111,10 @@ impl FitState {
         npz.add("version", &[], &[VERSION])?;
         npz.add("stage", &[], &[stage])?;
         npz.add("step", &[], &[self.step])?;
-        let Light { ambient, strength, direction } = self.light;
+        let Light { ambient, strength, direction, occlusion, slope } = self.light;
         npz.add("light", &[3, 3], [ambient, strength, direction].as_flattened())?;
+        npz.add("light_occlusion", &[], &[occlusion])?;
+        npz.add("light_slope", &[3], &slope)?;
         for (name, data) in self.arrays() {
             npz.add(name, &[data.len()], data)?;
         }
@@ -155,7 +157,10 @@ impl FitState {
         state.step = npz.scalar("step")? as u32;
         let light = npz.shaped("light", &[3, 3])?.f32();
         let [ambient, strength, direction] = [0, 1, 2].map(|row| [0, 1, 2].map(|k| light[3 * row + k]));
-        state.light = Light { ambient, strength, direction };
+        // Both are absent in files of before they were told.
+        let occlusion = npz.scalar("light_occlusion").unwrap_or_default() as f32;
+        let slope = npz.shaped("light_slope", &[3]).map_or([0.0; 3], |slope| std::array::from_fn(|k| slope.f32()[k]));
+        state.light = Light { ambient, strength, direction, occlusion, slope };
         let mut whole = true;
         let mut take = |name: &str, into: &mut Vec<f32>| -> Result<(), NpzError> {
             let array = npz.get(name)?.f32();

@@ -2,7 +2,7 @@
 //! the lamp and in and out of the body's own shadow; what changes with them is light, what stays is albedo.
 
 use super::shadows::PosedClip;
-use crate::ops::light::Light;
+use crate::ops::light::{Exposure, Light};
 
 /// A face in a frame.
 #[derive(Clone, Copy, Debug)]
@@ -33,6 +33,11 @@ const FINAL_ROUNDS: usize = 25;
 /// A turn about the vertical hardly shows how high the lamp stands. Lamps stand above: each 30° from this elevation count
 /// as one percent more error.
 const USUAL_ELEVATION_DEG: f64 = 45.0;
+/// The power of openness that is left of the ambient light ([`Light::occlusion`]). A person who turns as one keeps a point's
+/// openness, so the clip does not tell it; measured on two persons who move in other pictures (docs/lab/light.md).
+const OCCLUSION: f32 = 0.35;
+/// Ambient light is brighter from the camera's side, or not; that side is this far above the horizon.
+const CAMERA_SIDE_DEG: f64 = 20.0;
 /// The error without a lamp has to be larger than with one by this factor, else there is none to be told.
 const MIN_GAIN: f64 = 1.02;
 /// Residuals beyond this count linearly: wrong geometry is no light.
@@ -67,67 +72,106 @@ impl Sky {
         (flat * elevation.cos() + self.up * elevation.sin()).to_array().map(|x| x as f32)
     }
 
+    /// How much of ambient light from the camera's side, [`CAMERA_SIDE_DEG`] above the horizon, and from above a unit normal
+    /// gets, 0 to 1.
+    fn slopes(&self, n: [f32; 3]) -> [f32; 2] {
+        self.sides().map(|side| 0.5 + 0.5 * side.dot(n.into()))
+    }
+
+    fn sides(&self) -> [glam::Vec3; 2] {
+        [self.direction(0.0, CAMERA_SIDE_DEG).into(), self.up.as_vec3()]
+    }
+
+    /// The light of the weights of [`TERMS`]; without a normal it is `ambient`, so half of what comes from one side counts there.
+    fn light(&self, direction: [f32; 3], [everywhere, front, above, strength]: Weights) -> Light {
+        let ambient = everywhere + 0.5 * (front + above);
+        let [camera, up] = self.sides();
+        let slope = if ambient > 0.0 { 0.5 * (front * camera + above * up) / ambient } else { glam::Vec3::ZERO };
+        let slope = slope.to_array();
+        Light { ambient: [ambient; 3], strength: [strength; 3], direction, occlusion: 0.0, slope }
+    }
+
     fn azimuth(&self, direction: [f32; 3]) -> f64 {
         let direction = glam::DVec3::from(direction.map(f64::from));
         direction.dot(self.side).atan2(direction.dot(self.back))
     }
 }
 
-/// The light that explains the observations best, were there no shadows; [`Light::EVEN`] where no lamp can be told from them.
-/// Shades are one in the mean of the observations.
+/// The light that explains the observations best, were there no shadows and no corners; [`Light::EVEN`] where no lamp can be told
+/// from them. Shades are one in the mean of the observations.
 pub fn solve_light(observations: &[Observation], n_faces: usize, sky: &Sky) -> Light {
     let searched = searched(observations, |_| true);
-    let all_seen = |direction| Problem::new(&searched, n_faces, direction, |_| 1.0);
+    let all_seen = |direction: [f32; 3]| {
+        let lamp = Light { strength: [1.0; 3], direction, ..DARK };
+        Problem::new(&searched, n_faces, move |o| [1.0, 0.0, 0.0, lamp.shade(o.normal, Exposure::FULL)[0]])
+    };
     let even = all_seen(Light::EVEN.direction).solve(0);
     let azimuths = (0..AZIMUTHS).map(|k| std::f64::consts::TAU * k as f64 / AZIMUTHS as f64);
     let tried = azimuths.flat_map(|azimuth| ELEVATIONS_DEG.map(|elevation| (azimuth, elevation)));
-    let best = cheapest(tried.map(|(azimuth, elevation)| {
-        let solved = all_seen(sky.direction(azimuth, elevation)).solve(SEARCH_ROUNDS);
-        (solved.error * unusual(elevation), solved)
+    let (cost, direction) = cheapest(tried.map(|(azimuth, elevation)| {
+        let direction = sky.direction(azimuth, elevation);
+        (all_seen(direction).solve(SEARCH_ROUNDS).error * unusual(elevation), direction)
     }));
-    match best {
-        Some((cost, solved)) if even.error > MIN_GAIN * cost => {
-            all_seen(solved.light.direction).solve(FINAL_ROUNDS).light
-        }
-        _ => Light::EVEN,
+    if even.error <= MIN_GAIN * cost {
+        return Light::EVEN;
     }
+    sky.light(direction, all_seen(direction).solve(FINAL_ROUNDS).weights)
 }
 
 /// The light near `start` that explains the observations best with the shadows that the body casts on itself in each frame of
-/// `clip`, and what each vertex sees of it, `[N][V]`.
+/// `clip`, with ambient light that is less where the body shuts itself in and brighter from the camera's side or from above, and
+/// what of it reaches each vertex, `[N][V]`.
 pub fn solve_shadowed_light(
     observations: &[Observation],
     faces: &[[u32; 3]],
     start: &Light,
     sky: &Sky,
     clip: &PosedClip<'_>,
-) -> (Light, Vec<Vec<f32>>) {
+) -> (Light, Vec<Vec<Exposure>>) {
     let n = clip.n_frames();
+    let open = clip.openness();
+    let unit = |direction: [f32; 3]| Light { strength: [1.0; 3], direction, occlusion: OCCLUSION, ..DARK };
+    let terms = |o: &Observation, lamp: &Light, exposures: &[Exposure]| {
+        let exposure = of_face(exposures, faces[o.face as usize]);
+        let [front, above] = sky.slopes(o.normal);
+        let ambient = exposure.ambient;
+        [ambient, ambient * front, ambient * above, lamp.shade(o.normal, exposure)[0]]
+    };
+    let exposures = |lamp: &Light, frames: &[usize]| -> Vec<Vec<Exposure>> {
+        let visible = clip.visibility(lamp.direction, frames);
+        let both = frames.iter().zip(visible).map(|(&frame, visible)| open[frame].iter().zip(visible));
+        both.map(|both| both.map(|(&open, visible)| lamp.exposure(open, visible)).collect()).collect()
+    };
+
     let some: Vec<usize> = (0..n).step_by(n.div_ceil(SHADOWED_FRAMES).max(1)).collect();
     let in_some = searched(observations, |o| some.binary_search(&(o.frame as usize)).is_ok());
     let around = sky.azimuth(start.direction);
     let tried = ASIDE_DEG.into_iter().flat_map(|aside| SHADOWED_ELEVATIONS_DEG.map(|elevation| (aside, elevation)));
-    let best = cheapest(tried.map(|(aside, elevation)| {
+    let (_, direction) = cheapest(tried.map(|(aside, elevation)| {
         let direction = sky.direction(around + aside.to_radians(), elevation);
-        let visible = clip.visibility(direction, &some);
+        let lamp = unit(direction);
+        let exposures = exposures(&lamp, &some);
         let of = |o: &Observation| {
             let frame = some.binary_search(&(o.frame as usize)).unwrap_or(0);
-            of_face(&visible[frame], faces[o.face as usize])
+            terms(o, &lamp, &exposures[frame])
         };
-        let solved = Problem::new(&in_some, faces.len(), direction, of).solve(SEARCH_ROUNDS);
-        (solved.error * unusual(elevation), solved)
+        (Problem::new(&in_some, faces.len(), of).solve(SEARCH_ROUNDS).error * unusual(elevation), direction)
     }));
-    let direction = best.map_or(start.direction, |(_, solved)| solved.light.direction);
     let all: Vec<usize> = (0..n).collect();
-    let visible = clip.visibility(direction, &all);
+    let lamp = unit(direction);
+    let exposures = exposures(&lamp, &all);
     let searched = searched(observations, |_| true);
-    let of = |o: &Observation| of_face(&visible[o.frame as usize], faces[o.face as usize]);
-    (Problem::new(&searched, faces.len(), direction, of).solve(FINAL_ROUNDS).light, visible)
+    let of = |o: &Observation| terms(o, &lamp, &exposures[o.frame as usize]);
+    let solved = Problem::new(&searched, faces.len(), of).solve(FINAL_ROUNDS);
+    (Light { occlusion: OCCLUSION, ..sky.light(direction, solved.weights) }, exposures)
 }
 
-/// What a face sees of the lamp: the mean of its corners.
-pub fn of_face(visible: &[f32], face: [u32; 3]) -> f32 {
-    face.map(|v| visible[v as usize]).iter().sum::<f32>() / 3.0
+/// No light at all.
+const DARK: Light = Light { ambient: [0.0; 3], ..Light::EVEN };
+
+/// What reaches a face: the mean of its corners.
+pub fn of_face(exposures: &[Exposure], face: [u32; 3]) -> Exposure {
+    Exposure::weighted(face.into_iter().map(|v| (1.0 / 3.0, exposures[v as usize])))
 }
 
 /// Some of the observations that count, not too many.
@@ -139,31 +183,51 @@ fn searched(observations: &[Observation], counts: impl Fn(&Observation) -> bool)
     observations.iter().filter(|o| counts(o)).filter(chosen).copied().collect()
 }
 
-fn cheapest(tried: impl Iterator<Item = (f64, Solved)>) -> Option<(f64, Solved)> {
-    tried.min_by(|a, b| a.0.total_cmp(&b.0))
+/// The direction of the lowest cost, and that.
+///
+/// # Panics
+/// When none was tried.
+fn cheapest(tried: impl Iterator<Item = (f64, [f32; 3])>) -> (f64, [f32; 3]) {
+    tried.min_by(|a, b| a.0.total_cmp(&b.0)).expect("directions are tried")
 }
+
+/// The least squares of `½ x·matrix·x − right·x` with no x below zero, from `start`: one number after the other (Gauss–Seidel).
+/// A term that is nowhere has none.
+fn not_below_zero(matrix: &[[f64; TERMS]; TERMS], right: &[f64; TERMS], start: [f64; TERMS]) -> [f64; TERMS] {
+    let mut x = start;
+    for _ in 0..DESCENT_ROUNDS {
+        for k in 0..TERMS {
+            let others: f64 = (0..TERMS).filter(|&j| j != k).map(|j| matrix[k][j] * x[j]).sum();
+            x[k] = if matrix[k][k] > 0.0 { ((right[k] - others) / matrix[k][k]).max(0.0) } else { 0.0 };
+        }
+    }
+    x
+}
+
+/// Rounds of it: ambient light and what of it comes from one side are much alike.
+const DESCENT_ROUNDS: usize = 400;
 
 /// What the error counts at an elevation.
 fn unusual(elevation_deg: f64) -> f64 {
     1.0 + 0.01 * (elevation_deg - USUAL_ELEVATION_DEG).abs() / 30.0
 }
 
-/// Albedos `[F, 3]` under a light, in closed form, and the pixels that showed each face. `visible`: the share of the lamp that
-/// an observation's face saw.
+/// Albedos `[F, 3]` under a light, in closed form, and the pixels that showed each face. `exposure`: what reached an
+/// observation's face.
 pub fn albedos(
     observations: &[Observation],
     n_faces: usize,
     light: &Light,
-    visible: impl Fn(&Observation) -> f32,
+    exposure: impl Fn(&Observation) -> Exposure,
 ) -> (Vec<f32>, Vec<f32>) {
     let mut counts = vec![0.0f32; n_faces];
     observations.iter().for_each(|o| counts[o.face as usize] += o.weight);
-    let problem = Problem::new(observations, n_faces, light.direction, visible);
     // White, as the solved lights are.
-    let pair = (light.ambient[0], light.strength[0]);
-    let mut albedo = problem.first_albedo(pair);
+    let problem = Problem::new(observations, n_faces, |o| [light.shade(o.normal, exposure(o))[0], 0.0, 0.0, 0.0]);
+    let weights = [1.0, 0.0, 0.0, 0.0];
+    let mut albedo = problem.first_albedo(weights);
     for _ in 0..ALBEDO_ROUNDS {
-        albedo = problem.albedo(pair, &albedo);
+        albedo = problem.albedo(weights, &albedo);
     }
     (albedo.into_flattened(), counts)
 }
@@ -171,17 +235,21 @@ pub fn albedos(
 /// Rounds in which it settles what is brighter than white.
 const ALBEDO_ROUNDS: usize = 3;
 
-/// Albedo, ambient light and strength for one direction of the lamp.
+/// What makes up a shade, each with a weight of its own that is not below zero: ambient light from everywhere, from the camera's
+/// side and from above ([`Light::slope`]), and the lamp.
+const TERMS: usize = 4;
+type Weights = [f32; TERMS];
+
+/// Albedos and the weights of the light for one direction of the lamp.
 struct Problem<'a> {
     observations: &'a [Observation],
     n_faces: usize,
-    direction: [f32; 3],
-    /// The lamp's part of the shade for each observation.
-    lamp: Vec<f32>,
+    /// Of each observation
+    terms: Vec<[f32; TERMS]>,
 }
 
 struct Solved {
-    light: Light,
+    weights: Weights,
     /// Mean absolute error a pixel and channel.
     error: f64,
 }
@@ -192,53 +260,45 @@ fn tells(colour: f32, bright: f32) -> bool {
 }
 
 impl<'a> Problem<'a> {
-    fn new(
-        observations: &'a [Observation],
-        n_faces: usize,
-        direction: [f32; 3],
-        visible: impl Fn(&Observation) -> f32,
-    ) -> Self {
-        let unit = Light { ambient: [0.0; 3], strength: [1.0; 3], direction };
-        let lamp = observations.iter().map(|o| unit.shade(o.normal, visible(o))[0]).collect();
-        Self { observations, n_faces, direction, lamp }
+    fn new(observations: &'a [Observation], n_faces: usize, terms: impl Fn(&Observation) -> [f32; TERMS]) -> Self {
+        Self { observations, n_faces, terms: observations.iter().map(terms).collect() }
     }
 
     /// Alternates `rounds` times between the albedos and the light; no rounds are even light. The light is white: told a
     /// channel, it takes on the colours of what happens to face the lamp, and the dark side of grey trousers turns brown.
     fn solve(&self, rounds: usize) -> Solved {
-        let mut pair = self.normalised(if rounds == 0 { (1.0, 0.0) } else { (0.7, 0.5) });
-        let mut albedo = self.first_albedo(pair);
+        let mut weights = self.normalised(if rounds == 0 { [1.0, 0.0, 0.0, 0.0] } else { [0.7, 0.0, 0.0, 0.5] });
+        let mut albedo = self.first_albedo(weights);
         for _ in 0..rounds {
-            pair = self.normalised(self.light_of(&albedo, pair));
-            albedo = self.albedo(pair, &albedo);
+            weights = self.normalised(self.light_of(&albedo, weights));
+            albedo = self.albedo(weights, &albedo);
         }
-        let error = self.error(&albedo, pair);
-        let light = Light { ambient: [pair.0; 3], strength: [pair.1; 3], direction: self.direction };
-        Solved { light, error }
+        Solved { weights, error: self.error(&albedo, weights) }
     }
 
-    fn shade(&self, i: usize, (ambient, strength): (f32, f32)) -> f32 {
-        (ambient + strength * self.lamp[i]).max(MIN_SHADE)
+    fn shade(&self, i: usize, weights: Weights) -> f32 {
+        let terms = self.terms[i].iter().zip(weights);
+        terms.map(|(term, weight)| term * weight).sum::<f32>().max(MIN_SHADE)
     }
 
     /// `[F]`, from what is not white; where a face was never seen otherwise, from that.
-    fn first_albedo(&self, pair: (f32, f32)) -> Vec<[f32; 3]> {
-        let all = self.mean_albedo(pair, |_, _| true, &[]);
-        self.mean_albedo(pair, |colour, _| colour < WHITE, &all)
+    fn first_albedo(&self, weights: Weights) -> Vec<[f32; 3]> {
+        let all = self.mean_albedo(weights, |_, _| true, &[]);
+        self.mean_albedo(weights, |colour, _| colour < WHITE, &all)
     }
 
     /// `[F]`, after `before`.
-    fn albedo(&self, pair: (f32, f32), before: &[[f32; 3]]) -> Vec<[f32; 3]> {
-        self.mean_albedo(pair, tells, before)
+    fn albedo(&self, weights: Weights, before: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        self.mean_albedo(weights, tells, before)
     }
 
     /// Least squares over the channels of which `counts(colour, bright)` holds, `bright` by the albedos `before`, which stand
     /// where none does.
-    fn mean_albedo(&self, pair: (f32, f32), counts: impl Fn(f32, f32) -> bool, before: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    fn mean_albedo(&self, weights: Weights, counts: impl Fn(f32, f32) -> bool, before: &[[f32; 3]]) -> Vec<[f32; 3]> {
         let mut sums = vec![([0.0f32; 3], [0.0f32; 3]); self.n_faces];
         let known = |face: usize| before.get(face).copied().unwrap_or_default();
         for (i, o) in self.observations.iter().enumerate() {
-            let shade = self.shade(i, pair);
+            let shade = self.shade(i, weights);
             let (top, bottom) = &mut sums[o.face as usize];
             for (k, albedo) in known(o.face as usize).into_iter().enumerate() {
                 if counts(o.colour[k], albedo * shade) {
@@ -254,60 +314,50 @@ impl<'a> Problem<'a> {
         sums.into_iter().enumerate().map(mean).collect()
     }
 
-    /// Reweighted least squares for ambient light and strength, neither below zero.
-    fn light_of(&self, albedo: &[[f32; 3]], pair: (f32, f32)) -> (f32, f32) {
-        let (mut aa, mut ab, mut bb, mut ay, mut by) = (0.0f64, 0.0f64, 0.0f64, 0.0f64, 0.0f64);
+    /// Reweighted least squares for the weights, none below zero.
+    fn light_of(&self, albedo: &[[f32; 3]], weights: Weights) -> Weights {
+        let (mut matrix, mut right) = ([[0.0f64; TERMS]; TERMS], [0.0f64; TERMS]);
         for (i, o) in self.observations.iter().enumerate() {
-            let shade = self.shade(i, pair);
+            let shade = self.shade(i, weights);
             for (albedo, colour) in albedo[o.face as usize].into_iter().zip(o.colour) {
                 if !tells(colour, albedo * shade) {
                     continue;
                 }
                 let weight = f64::from(o.weight / ((albedo * shade - colour).abs() + ROBUST));
-                let (a, b, y) = (f64::from(albedo), f64::from(albedo * self.lamp[i]), f64::from(colour));
-                aa += weight * a * a;
-                ab += weight * a * b;
-                bb += weight * b * b;
-                ay += weight * a * y;
-                by += weight * b * y;
+                let terms = self.terms[i].map(|term| f64::from(albedo * term));
+                for (j, row) in matrix.iter_mut().enumerate() {
+                    let weighted = weight * terms[j];
+                    right[j] += weighted * f64::from(colour);
+                    row.iter_mut().zip(terms).for_each(|(sum, term)| *sum += weighted * term);
+                }
             }
         }
-        let determinant = aa * bb - ab * ab;
-        let (ambient, strength) = if determinant > 1e-9 * aa * bb {
-            ((ay * bb - by * ab) / determinant, (by * aa - ay * ab) / determinant)
-        } else {
-            (ay / aa.max(1e-12), 0.0)
-        };
-        match (ambient < 0.0, strength < 0.0) {
-            (_, true) => ((ay / aa.max(1e-12)) as f32, 0.0),
-            (true, false) => (0.0, (by / bb.max(1e-12)) as f32),
-            _ => (ambient as f32, strength as f32),
-        }
+        not_below_zero(&matrix, &right, weights.map(f64::from)).map(|x| x as f32)
     }
 
     /// Scaled so that the mean shade is one: the albedo is then as bright as the person looked in the mean.
-    fn normalised(&self, pair: (f32, f32)) -> (f32, f32) {
+    fn normalised(&self, by: Weights) -> Weights {
         let (mut sum, mut weights) = (0.0f64, 0.0f64);
         for (i, o) in self.observations.iter().enumerate() {
-            sum += f64::from(o.weight * self.shade(i, pair));
+            sum += f64::from(o.weight * self.shade(i, by));
             weights += f64::from(o.weight);
         }
         let mean = if weights > 0.0 { (sum / weights) as f32 } else { 1.0 };
-        (pair.0 / mean, pair.1 / mean)
+        by.map(|weight| weight / mean)
     }
 
-    fn error(&self, albedo: &[[f32; 3]], pair: (f32, f32)) -> f64 {
-        let (mut sum, mut weights) = (0.0f64, 0.0f64);
+    fn error(&self, albedo: &[[f32; 3]], weights: Weights) -> f64 {
+        let (mut sum, mut pixels) = (0.0f64, 0.0f64);
         for (i, o) in self.observations.iter().enumerate() {
-            let shade = self.shade(i, pair);
+            let shade = self.shade(i, weights);
             for (albedo, colour) in albedo[o.face as usize].into_iter().zip(o.colour) {
                 if tells(colour, albedo * shade) {
                     sum += f64::from(o.weight * (albedo * shade - colour).abs());
                 }
             }
-            weights += 3.0 * f64::from(o.weight);
+            pixels += 3.0 * f64::from(o.weight);
         }
-        sum / weights.max(1e-12)
+        sum / pixels.max(1e-12)
     }
 }
 
@@ -332,7 +382,7 @@ mod tests {
                 let angle = at + turn_deg.to_radians() * frame as f32 / 40.0;
                 let normal = [angle.sin() * tilt.cos(), tilt.sin(), -angle.cos() * tilt.cos()];
                 if normal[2] < -0.2 {
-                    let shade = light.shade(normal, 1.0);
+                    let shade = light.shade(normal, Exposure::FULL);
                     let noise = 0.01 * (rng.random::<f32>() - 0.5);
                     let colour = std::array::from_fn(|k| (albedo[k] * shade[k] + noise).min(1.0));
                     observations.push(Observation { frame, face, weight: 4.0, colour, normal });
@@ -348,7 +398,7 @@ mod tests {
 
     #[test]
     fn a_lamp_is_found_from_a_turn() {
-        let truth = Light { ambient: [0.6; 3], strength: [0.7, 0.6, 0.5], direction: sky().direction(0.7, 35.0) };
+        let truth = Light { strength: [0.7, 0.6, 0.5], occlusion: 0.0, ..lamp(0.7, 35.0) };
         let found = solve_light(&turning(&truth, 360.0), 400, &sky());
         assert!(angle_deg(found.direction, truth.direction) < 15.0, "{found:?}");
         for k in 0..3 {
@@ -359,71 +409,108 @@ mod tests {
 
     #[test]
     fn what_the_camera_cut_off_does_not_darken_the_albedo() {
-        let light = Light { ambient: [0.6; 3], strength: [1.0; 3], direction: sky().direction(0.0, 0.0) };
+        let light = Light { ambient: [0.6; 3], strength: [1.0; 3], direction: sky().direction(0.0, 0.0), ..DARK };
         let (lit, dark) = ([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]);
         let seen = [lit, lit, lit, dark].map(|normal| {
-            let colour = light.shade(normal, 1.0).map(|shade| (0.9 * shade).min(1.0));
+            let colour = light.shade(normal, Exposure::FULL).map(|shade| (0.9 * shade).min(1.0));
             Observation { frame: 0, face: 0, weight: 1.0, colour, normal }
         });
-        let (albedo, _) = albedos(&seen, 1, &light, |_| 1.0);
+        let (albedo, _) = albedos(&seen, 1, &light, |_| Exposure::FULL);
         assert!(albedo.iter().all(|a| (a - 0.9).abs() < 1e-4), "{albedo:?}");
         // All white: at least so bright as to be white.
-        let (albedo, _) = albedos(&seen[..3], 1, &light, |_| 1.0);
+        let (albedo, _) = albedos(&seen[..3], 1, &light, |_| Exposure::FULL);
         assert!(albedo.iter().all(|a| (a * 1.6 - 1.0).abs() < 1e-4), "{albedo:?}");
     }
 
-    #[test]
-    fn shadows_tell_how_high_the_lamp_stands() {
-        let body = crate::body::Body::test_body();
+    /// The small body turning once in 16 frames.
+    fn turning_body(body: &crate::body::Body) -> PosedClip<'_> {
         let turned = |k: usize| {
             let turn = glam::Quat::from_rotation_x(std::f32::consts::PI)
                 * glam::Quat::from_rotation_y(std::f32::consts::TAU * k as f32 / 16.0);
             let mut pose = [0.0; 72];
             pose[..3].copy_from_slice(&turn.to_scaled_axis().to_array());
-            crate::ops::skinning::cpu::forward(&body, &[], None, &pose, [0.0, 0.0, 3.0]).vertices
+            crate::ops::skinning::cpu::forward(body, &[], None, &pose, [0.0, 0.0, 3.0]).vertices
         };
-        let clip = PosedClip { faces: &body.faces, vertices: (0..16).map(turned).collect() };
-        let light = Light { ambient: [0.6; 3], strength: [0.7; 3], direction: sky().direction(0.6, 44.0) };
-        let visible = clip.visibility(light.direction, &(0..16).collect::<Vec<_>>());
+        PosedClip { faces: &body.faces, vertices: (0..16).map(turned).collect() }
+    }
+
+    /// What a camera in the origin sees of it.
+    fn observed(clip: &PosedClip<'_>, light: &Light) -> Vec<Observation> {
+        let exposures = clip.exposures(light);
         let mut seen = Vec::new();
         for (frame, vertices) in clip.vertices.iter().enumerate() {
-            for (f, &face) in body.faces.iter().enumerate() {
+            for (f, &face) in clip.faces.iter().enumerate() {
                 let [a, b, c] = face.map(|v| glam::Vec3::from(vertices[v as usize]));
                 let normal = (b - a).cross(c - a).normalize_or_zero();
                 if normal.dot(a) >= 0.0 {
                     continue;
                 }
                 let normal = normal.to_array();
-                let shade = light.shade(normal, of_face(&visible[frame], face));
+                let shade = light.shade(normal, of_face(&exposures[frame], face));
                 let colour = std::array::from_fn(|k| (0.2 + 0.1 * ((f + k) % 5) as f32) * shade[k]);
                 seen.push(Observation { frame: frame as u32, face: f as u32, weight: 1.0, colour, normal });
             }
         }
-        let start = Light { direction: sky().direction(0.7, 15.0), ..light };
-        let (found, shadows) = solve_shadowed_light(&seen, &body.faces, &start, &sky(), &clip);
+        seen
+    }
+
+    fn lamp(azimuth: f64, elevation_deg: f64) -> Light {
+        let direction = sky().direction(azimuth, elevation_deg);
+        Light { ambient: [0.6; 3], strength: [0.7; 3], direction, occlusion: OCCLUSION, slope: [0.0; 3] }
+    }
+
+    #[test]
+    fn shadows_tell_how_high_the_lamp_stands() {
+        let body = crate::body::Body::test_body();
+        let (clip, light) = (turning_body(&body), lamp(0.6, 44.0));
+        let seen = observed(&clip, &light);
+        let (found, reaching) = solve_shadowed_light(&seen, &body.faces, &lamp(0.7, 15.0), &sky(), &clip);
         assert!(angle_deg(found.direction, light.direction) < 8.0, "{found:?}");
         let (ours, want) = (found.strength[0] / found.ambient[0], light.strength[0] / light.ambient[0]);
         assert!((ours / want - 1.0).abs() < 0.15, "{ours} instead of {want}");
-        assert_eq!((shadows.len(), shadows[0].len()), (16, body.n_vertices()));
+        assert!(glam::Vec3::from(found.slope).length() < 0.1, "even ambient light: {found:?}");
+        assert_eq!((reaching.len(), reaching[0].len()), (16, body.n_vertices()));
+    }
+
+    #[test]
+    fn ambient_light_that_is_brighter_from_the_cameras_side_is_told() {
+        let body = crate::body::Body::test_body();
+        let clip = turning_body(&body);
+        let slope = (0.25 * sky().sides()[0]).to_array();
+        let light = Light { slope, ..lamp(0.6, 32.0) };
+        let (found, _) = solve_shadowed_light(&observed(&clip, &light), &body.faces, &lamp(0.6, 15.0), &sky(), &clip);
+        let off = (glam::Vec3::from(found.slope) - glam::Vec3::from(slope)).length();
+        assert!(off < 0.08, "{:?} instead of {slope:?}", found.slope);
+    }
+
+    #[test]
+    fn least_squares_stop_at_zero() {
+        // x₁ would be negative beside x₀; the third and the fourth number occur nowhere.
+        let mut matrix = [[0.0; TERMS]; TERMS];
+        (matrix[0][0], matrix[1][1], matrix[0][1], matrix[1][0]) = (2.0, 2.0, 1.9, 1.9);
+        let found = not_below_zero(&matrix, &[2.0, 1.0, 0.0, 0.0], [0.3; TERMS]);
+        assert_eq!(found, [1.0, 0.0, 0.0, 0.0]);
+        (matrix[0][1], matrix[1][0]) = (1.0, 1.0);
+        let found = not_below_zero(&matrix, &[4.0, 5.0, 0.0, 0.0], [0.0; TERMS]);
+        assert!((found[0] - 1.0).abs() < 1e-9 && (found[1] - 2.0).abs() < 1e-9, "{found:?}");
     }
 
     #[test]
     fn even_light_and_a_person_who_does_not_turn_show_no_lamp() {
         assert_eq!(solve_light(&turning(&Light::EVEN, 360.0), 400, &sky()), Light::EVEN);
-        let lamp = Light { ambient: [0.6; 3], strength: [0.7; 3], direction: sky().direction(0.7, 35.0) };
-        assert_eq!(solve_light(&turning(&lamp, 0.0), 400, &sky()), Light::EVEN);
+        assert_eq!(solve_light(&turning(&lamp(0.7, 35.0), 0.0), 400, &sky()), Light::EVEN);
         assert_eq!(solve_light(&[], 400, &sky()), Light::EVEN);
     }
 
     #[test]
     fn albedos_are_what_is_left_without_the_light() {
-        let light = Light { ambient: [0.6; 3], strength: [0.7; 3], direction: sky().direction(0.7, 35.0) };
+        let light = lamp(0.7, 35.0);
         let seen = turning(&light, 360.0);
-        let (with, counts) = albedos(&seen, 401, &light, |_| 1.0);
-        let (without, _) = albedos(&seen, 401, &Light::EVEN, |_| 1.0);
+        let (with, counts) = albedos(&seen, 401, &light, |_| Exposure::FULL);
+        let (without, _) = albedos(&seen, 401, &Light::EVEN, |_| Exposure::FULL);
         let error = |colours: &[f32]| -> f32 {
             seen.iter()
-                .map(|o| (colours[3 * o.face as usize] * light.shade(o.normal, 1.0)[0] - o.colour[0]).abs())
+                .map(|o| (colours[3 * o.face as usize] * light.shade(o.normal, Exposure::FULL)[0] - o.colour[0]).abs())
                 .sum()
         };
         assert!(error(&with) < 0.1 * error(&without));

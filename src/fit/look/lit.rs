@@ -5,7 +5,7 @@ use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::Topology;
 use crate::ops::face_normals::FaceNormals;
 use crate::ops::interpolate::Interpolate;
-use crate::ops::light::{Light, ShadedRows, Shading, VisibleAt, Write};
+use crate::ops::light::{Exposure, ExposureAt, Light, ShadedRows, Shading, Write};
 
 /// A light and what it needs to know of the body. One frame at a time: the scene's last one.
 pub struct Lit {
@@ -14,27 +14,27 @@ pub struct Lit {
     shading: Shading,
     /// `[F, 3]`, world space
     on_faces: Buffer<f32>,
-    /// `[F]`
-    face_lamps: Buffer<f32>,
+    /// `[F, 2]`
+    face_parts: Buffer<f32>,
     /// `[V, 3]`, unit, world space
     on_vertices: Buffer<f32>,
-    /// `[N, V]`: what each vertex sees of the lamp in each frame, as of the last call of [`Lit::set`]
-    visible: Buffer<f32>,
+    /// `[N, V, 2]`: what reaches each vertex in each frame, as of the last call of [`Lit::set`]
+    exposure: Buffer<f32>,
     /// `[1]`: F
     all_faces: Buffer<u32>,
     n_faces: usize,
 }
 
 impl Lit {
-    /// A light without shadows yet, for `n_frames`.
+    /// A light that reaches everywhere yet, for `n_frames`.
     pub fn new(gpu: &Gpu, faces: &[[u32; 3]], topology: &Topology, n_frames: usize, light: Light) -> Self {
         let face_normals = FaceNormals::new(gpu, faces, topology);
         let n_vertices = topology.corners.len();
         Self {
             light,
-            visible: gpu.upload("fit/lit/visible", &vec![1.0; n_frames * n_vertices]),
+            exposure: gpu.upload("fit/lit/exposure", &vec![1.0; n_frames * n_vertices * 2]),
             on_faces: face_normals.normals(gpu, "fit/lit/face_normals"),
-            face_lamps: gpu.zeros("fit/lit/face_lamps", faces.len()),
+            face_parts: gpu.zeros("fit/lit/face_parts", 2 * faces.len()),
             on_vertices: gpu.zeros("fit/lit/vertex_normals", 3 * n_vertices),
             all_faces: gpu.upload("fit/lit/all_faces", &[faces.len() as u32]),
             shading: Shading::new(gpu, topology),
@@ -43,49 +43,49 @@ impl Lit {
         }
     }
 
-    /// Takes another light, and what each vertex sees of its lamp in each frame.
+    /// Takes another light, and what of it reaches each vertex in each frame.
     ///
     /// # Panics
-    /// When the shadows are not those of all frames and vertices.
-    pub fn set(&mut self, gpu: &Gpu, light: Light, visible: &[Vec<f32>]) {
-        let visible = visible.concat();
-        assert_eq!(visible.len(), self.visible.len(), "shadows");
-        gpu.write(&self.visible, 0, &visible);
+    /// When the exposures are not those of all frames and vertices.
+    pub fn set(&mut self, gpu: &Gpu, light: Light, exposures: &[Vec<Exposure>]) {
+        let exposures = exposures.concat();
+        assert_eq!(2 * exposures.len(), self.exposure.len(), "exposures");
+        gpu.write(&self.exposure, 0, bytemuck::cast_slice(&exposures));
         self.light = light;
     }
 
-    /// Records the normals of the scene's body, posed as in `frame`, and the lamp's light on its faces.
+    /// Records the normals of the scene's body, posed as in `frame`, and the light on its faces.
     pub fn start_frame(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: usize) {
         self.face_normals.forward(recorder, &scene.posed.vertices, &self.on_faces);
         self.shading.vertex_normals(recorder, &self.on_faces, &self.on_vertices);
-        let (normals, lamps) = (&self.on_faces, &self.face_lamps);
-        self.shading.face_lamps(recorder, &self.light, self.at(frame), &scene.corners.faces, normals, lamps);
+        let (normals, parts) = (&self.on_faces, &self.face_parts);
+        self.shading.face_parts(recorder, &self.light, self.at(frame), &scene.corners.faces, normals, parts);
     }
 
-    fn at(&self, frame: usize) -> VisibleAt<'_> {
-        VisibleAt { visible: &self.visible, frame }
+    fn at(&self, frame: usize) -> ExposureAt<'_> {
+        ExposureAt { exposure: &self.exposure, frame }
     }
 
     /// Records `shaded = values · shade`, `[F, 3]`.
     pub fn faces(&self, recorder: &mut Recorder<'_>, values: &Buffer<f32>, shaded: &Buffer<f32>, write: Write) {
         let rows = ShadedRows::Counted(&self.all_faces, self.n_faces);
-        self.shading.apply(recorder, &self.light, rows, &self.face_lamps, values, shaded, write);
+        self.shading.apply(recorder, &self.light, rows, &self.face_parts, values, shaded, write);
     }
 
-    /// Records the lamp's light `[P]` on the listed pixels of the scene's hard image of `frame`.
-    pub fn pixel_lamps(
+    /// Records the parts `[P, 2]` of the shade on the listed pixels of the scene's hard image of `frame`.
+    pub fn pixel_parts(
         &self,
         recorder: &mut Recorder<'_>,
         scene: &Scene,
         frame: usize,
         list: &Interpolate,
         n: usize,
-        lamps: &Buffer<f32>,
+        parts: &Buffer<f32>,
     ) {
         let (hard, faces) = (&scene.hard, &scene.corners.faces);
         let (pix_to_face, bary) = (&hard.pix_to_face, &hard.bary_coords);
         let (at, normals) = (self.at(frame), &self.on_vertices);
-        self.shading.pixel_lamps(recorder, &self.light, at, list, n, pix_to_face, bary, faces, normals, lamps);
+        self.shading.pixel_parts(recorder, &self.light, at, list, n, pix_to_face, bary, faces, normals, parts);
     }
 
     /// Records `shaded = values · shade` of the listed pixels, `[P, 3]`.
@@ -95,13 +95,13 @@ impl Lit {
         recorder: &mut Recorder<'_>,
         list: &Interpolate,
         n: usize,
-        lamps: &Buffer<f32>,
+        parts: &Buffer<f32>,
         values: &Buffer<f32>,
         shaded: &Buffer<f32>,
         write: Write,
     ) {
         let rows = ShadedRows::Listed(list, n);
-        self.shading.apply(recorder, &self.light, rows, lamps, values, shaded, write);
+        self.shading.apply(recorder, &self.light, rows, parts, values, shaded, write);
     }
 
     /// Unit normals `[F]` of the scene's posed body, world space. Waits.

@@ -9,7 +9,7 @@ use super::unseen;
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
 use crate::gpu::{Buffer, GpuError};
-use crate::ops::light::Light;
+use crate::ops::light::{Exposure, Light};
 
 /// What [`solve_face_colours`] found.
 pub struct FaceAlbedos {
@@ -31,20 +31,23 @@ pub fn solve_face_colours(
     let mut clip = PosedClip::new(faces);
     let mut inner = vec![0.0; faces.len()];
     let observations = observe(scene, faces.len(), lit.as_deref(), poses, level, &mut clip, &mut inner)?;
-    let (mut light, mut visible) = (Light::EVEN, Vec::new());
+    let (mut light, mut exposures) = (Light::EVEN, Vec::new());
     if let Some(lit) = lit {
         // One camera takes the whole clip; its y points down and its z forward.
         let [_, _, _, ux, uy, uz, fx, fy, fz] = scene.frames[0].levels[level].camera.rotation.map(|x| x as f32);
         let sky = Sky::new([-ux, -uy, -uz], [fx, fy, fz]);
         light = solve_light(&observations, faces.len(), &sky);
         if light.has_lamp() {
-            (light, visible) = solve_shadowed_light(&observations, faces, &light, &sky, &clip);
-            lit.set(&scene.gpu, light, &visible);
+            (light, exposures) = solve_shadowed_light(&observations, faces, &light, &sky, &clip);
+        } else {
+            exposures = clip.exposures(&light);
         }
-        lit.light = light;
+        lit.set(&scene.gpu, light, &exposures);
     }
-    let seen = |o: &Observation| visible.get(o.frame as usize).map_or(1.0, |v| of_face(v, faces[o.face as usize]));
-    let (mut colours, counts) = albedos(&observations, faces.len(), &light, seen);
+    let reaching = |o: &Observation| {
+        exposures.get(o.frame as usize).map_or(Exposure::FULL, |e| of_face(e, faces[o.face as usize]))
+    };
+    let (mut colours, counts) = albedos(&observations, faces.len(), &light, reaching);
     colours.iter_mut().for_each(|c| *c = c.min(1.0));
     unseen::spread(faces, &mut colours, counts.iter().map(|&n| n > 0.0).collect());
     Ok(FaceAlbedos { colours, counts: inner })

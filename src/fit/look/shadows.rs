@@ -1,9 +1,11 @@
-//! What the lamp does not reach: the shadows that the fitted body casts on itself in each frame.
+//! What the light does not reach: the shadows that the fitted body casts on itself in each frame, and where it shuts itself in.
 
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
 use crate::gpu::GpuError;
+use crate::ops::light::occlusion::openness;
 use crate::ops::light::shadow::visibility;
+use crate::ops::light::{Exposure, Light};
 
 use super::Lit;
 
@@ -31,12 +33,31 @@ impl<'a> PosedClip<'a> {
 
     /// What each vertex sees of a lamp in `direction`, `[frame][V]`, in the order of `frames`.
     pub fn visibility(&self, direction: [f32; 3], frames: &[usize]) -> Vec<Vec<f32>> {
-        let of = |frame: usize| visibility(direction, &self.vertices[frame], self.faces);
+        self.of_frames(frames, |vertices| visibility(direction, vertices, self.faces))
+    }
+
+    /// Which share of its surroundings each vertex sees in each frame, `[N][V]`.
+    pub fn openness(&self) -> Vec<Vec<f32>> {
+        let all: Vec<usize> = (0..self.n_frames()).collect();
+        self.of_frames(&all, |vertices| openness(vertices, self.faces))
+    }
+
+    /// What of a light reaches each vertex in each frame, `[N][V]`.
+    pub fn exposures(&self, light: &Light) -> Vec<Vec<Exposure>> {
+        let all: Vec<usize> = (0..self.n_frames()).collect();
+        self.of_frames(&all, |vertices| light.exposures(vertices, self.faces))
+    }
+
+    /// Frames side by side on all cores.
+    fn of_frames<T: Send>(&self, frames: &[usize], of: impl Fn(&[[f32; 3]]) -> T + Sync) -> Vec<T> {
         let n_threads = std::thread::available_parallelism().map_or(1, usize::from);
+        let of = &of;
         std::thread::scope(|scope| {
             let chunks = frames.chunks(frames.len().div_ceil(n_threads).max(1));
             let threads: Vec<_> = chunks
-                .map(|chunk| scope.spawn(move || chunk.iter().map(|&frame| of(frame)).collect::<Vec<_>>()))
+                .map(|chunk| {
+                    scope.spawn(move || chunk.iter().map(|&frame| of(&self.vertices[frame])).collect::<Vec<_>>())
+                })
                 .collect();
             // A thread that panicked has a bug that shall be seen here.
             threads
@@ -59,8 +80,6 @@ pub fn cast_shadows(scene: &Scene, faces: &[[u32; 3]], lit: &mut Lit, poses: &Po
         recorder.submit()?;
         clip.push_posed(scene)?;
     }
-    let frames: Vec<usize> = (0..clip.n_frames()).collect();
-    let visible = clip.visibility(lit.light.direction, &frames);
-    lit.set(&scene.gpu, lit.light, &visible);
+    lit.set(&scene.gpu, lit.light, &clip.exposures(&lit.light));
     Ok(())
 }

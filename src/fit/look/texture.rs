@@ -73,8 +73,8 @@ struct LitTexture {
     lit: Lit,
     /// `[F, 3]`: the face colours in the light of the frame
     shaded_faces: Buffer<f32>,
-    /// `[P]`
-    lamps: Buffer<f32>,
+    /// `[P, 2]`: of the shade
+    parts: Buffer<f32>,
     /// `[P, 3]` both
     shaded: Buffer<f32>,
     grad_shaded: Buffer<f32>,
@@ -117,7 +117,7 @@ impl Texture {
         let lit = || LitTexture {
             lit: Lit::new(gpu, faces, inputs.topology, scene.frames.len(), state.light),
             shaded_faces: gpu.zeros("fit/shaded_faces", n_faces * 3),
-            lamps: gpu.zeros("fit/pixel_lamps", n),
+            parts: gpu.zeros("fit/pixel_parts", 2 * n),
             shaded: zeros("shaded"),
             grad_shaded: zeros("grad_shaded"),
         };
@@ -226,9 +226,9 @@ impl Look for Texture {
         let n_max = interpolate.n_max(n);
         model.forward(recorder, &interpolate.coords, &interpolate.count, n_max);
         let shown = match &self.lit {
-            Some(LitTexture { lit, lamps, shaded, .. }) => {
-                lit.pixel_lamps(recorder, scene, frame.frame, interpolate, n, lamps);
-                lit.pixels(recorder, interpolate, n, lamps, model.rgb(), shaded, Write::Cut);
+            Some(LitTexture { lit, parts, shaded, .. }) => {
+                lit.pixel_parts(recorder, scene, frame.frame, interpolate, n, parts);
+                lit.pixels(recorder, interpolate, n, parts, model.rgb(), shaded, Write::Cut);
                 shaded
             }
             None => model.rgb(),
@@ -240,9 +240,9 @@ impl Look for Texture {
         let slot = losses.rgb_slot(frame.frame);
         self.rgb.forward_backward(recorder, n, image, target, trusted, slot, weight, grad_image);
         match &self.lit {
-            Some(LitTexture { lit, lamps, grad_shaded, .. }) => {
+            Some(LitTexture { lit, parts, grad_shaded, .. }) => {
                 interpolate.gather(recorder, n, grad_image, grad_shaded);
-                lit.pixels(recorder, interpolate, n, lamps, grad_shaded, grad_rgb, Write::Over);
+                lit.pixels(recorder, interpolate, n, parts, grad_shaded, grad_rgb, Write::Over);
             }
             None => interpolate.gather(recorder, n, grad_image, grad_rgb),
         }

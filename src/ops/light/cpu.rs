@@ -3,30 +3,33 @@
 use super::{Light, WRAP};
 use crate::ops::Real;
 
-/// The lamp's part of `shade(n)` where all of it is visible, for a normal of any length.
-pub fn lamp<T: Real>(light: &Light, n: [T; 3]) -> T {
+/// The parts of `shade(n)` of the ambient light and of the lamp where nothing is in the way, for a normal of any length.
+pub fn parts<T: Real>(light: &Light, n: [T; 3]) -> [T; 2] {
     let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
-    let cosine = if length > T::zero() {
-        let d = light.direction.map(|x| T::of(x.into()));
+    if length == T::zero() {
+        return [T::one(), T::zero()];
+    }
+    let [slope, cosine] = [light.slope, light.direction].map(|d| {
+        let d = d.map(|x| T::of(x.into()));
         (n[0] * d[0] + n[1] * d[1] + n[2] * d[2]) / length
-    } else {
-        T::of(-1.0)
-    };
+    });
     let wrap = T::of(WRAP.into());
-    ((cosine + wrap) / (T::one() + wrap)).max(T::zero())
+    [(T::one() + slope).max(T::zero()), ((cosine + wrap) / (T::one() + wrap)).max(T::zero())]
 }
 
-/// `shade(n)`, for a normal of any length.
-pub fn shade<T: Real>(light: &Light, n: [T; 3], visible: T) -> [T; 3] {
-    let lamp = visible * lamp(light, n);
-    std::array::from_fn(|k| T::of(light.ambient[k].into()) + T::of(light.strength[k].into()) * lamp)
+/// `shade(n)`, for a normal of any length; `exposure`: `open^occlusion` and `visible`.
+pub fn shade<T: Real>(light: &Light, n: [T; 3], exposure: [T; 2]) -> [T; 3] {
+    let [ambient, lamp] = parts(light, n);
+    let (ambient, lamp) = (exposure[0] * ambient, exposure[1] * lamp);
+    std::array::from_fn(|k| T::of(light.ambient[k].into()) * ambient + T::of(light.strength[k].into()) * lamp)
 }
 
-/// `values · shade(normals)`, `[P, 3]` both, `visible [P]`.
-pub fn apply<T: Real>(light: &Light, normals: &[T], visible: &[T], values: &[T]) -> Vec<T> {
-    let rows = normals.as_chunks::<3>().0.iter().zip(visible).zip(values.as_chunks::<3>().0);
-    rows.flat_map(|((&n, &visible), value)| {
-        let shade = shade(light, n, visible);
+/// `values · shade(normals)`, `[P, 3]` both, `exposure [P, 2]`.
+pub fn apply<T: Real>(light: &Light, normals: &[T], exposure: &[T], values: &[T]) -> Vec<T> {
+    let (normals, exposure, values) = (normals.as_chunks::<3>().0, exposure.as_chunks().0, values.as_chunks::<3>().0);
+    let rows = normals.iter().zip(exposure).zip(values);
+    rows.flat_map(|((&n, &exposure), value)| {
+        let shade = shade(light, n, exposure);
         [0, 1, 2].map(|k| value[k] * shade[k])
     })
     .collect()

@@ -18,18 +18,19 @@ struct ApplyParams {
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-struct LampParams {
+struct PartParams {
     direction: [f32; 3],
     wrap: f32,
+    slope: [f32; 3],
     n: u32,
-    first_visible: u32,
-    unused: [u32; 2],
+    first_exposure: u32,
+    unused: [u32; 3],
 }
 
-/// The visibility `[N, V]` of the vertices, and the frame that is shaded.
+/// The exposure `[N, V, 2]` of the vertices, and the frame that is shaded.
 #[derive(Clone, Copy)]
-pub struct VisibleAt<'a> {
-    pub visible: &'a Buffer<f32>,
+pub struct ExposureAt<'a> {
+    pub exposure: &'a Buffer<f32>,
     pub frame: usize,
 }
 
@@ -57,9 +58,9 @@ pub enum ShadedRows<'a> {
 /// The kernels with the topology of one mesh.
 pub struct Shading {
     apply: Arc<Kernel>,
-    face_lamps: Arc<Kernel>,
+    face_parts: Arc<Kernel>,
     vertex_normals: Arc<Kernel>,
-    pixel_lamps: Arc<Kernel>,
+    pixel_parts: Arc<Kernel>,
     corner_starts: Buffer<u32>,
     corners: Buffer<u32>,
 }
@@ -68,15 +69,15 @@ impl Shading {
     pub fn new(gpu: &Gpu, topology: &Topology) -> Self {
         Self {
             apply: kernel!(gpu, "light/apply"),
-            face_lamps: kernel!(gpu, "light/face_lamps"),
+            face_parts: kernel!(gpu, "light/face_parts"),
             vertex_normals: kernel!(gpu, "light/vertex_normals"),
-            pixel_lamps: kernel!(gpu, "light/pixel_lamps"),
+            pixel_parts: kernel!(gpu, "light/pixel_parts"),
             corner_starts: gpu.upload("light/corner_starts", &topology.corners.starts),
             corners: gpu.upload("light/corners", &topology.corners.items),
         }
     }
 
-    /// Records `shaded = values · shade` by `lamps`, of the first or of listed rows.
+    /// Records `shaded = values · shade` by `parts`, of the first or of listed rows.
     ///
     /// # Panics
     /// When a buffer is shorter than the rows can be.
@@ -86,7 +87,7 @@ impl Shading {
         recorder: &mut Recorder<'_>,
         light: &Light,
         rows: ShadedRows<'_>,
-        lamps: &Buffer<f32>,
+        parts: &Buffer<f32>,
         values: &Buffer<f32>,
         shaded: &Buffer<f32>,
         write: Write,
@@ -95,7 +96,7 @@ impl Shading {
             ShadedRows::Counted(_, n_max) => n_max,
             ShadedRows::Listed(list, n_pixels) => list.n_max(n_pixels),
         };
-        assert!(lamps.len() >= n_max, "{}: {} values for {n_max} rows", lamps.label(), lamps.len());
+        assert!(parts.len() >= 2 * n_max, "{}: {} values for {n_max} rows", parts.label(), parts.len());
         for buffer in [values, shaded] {
             assert!(buffer.len() >= 3 * n_max, "{}: {} values for {n_max} rows", buffer.label(), buffer.len());
         }
@@ -103,40 +104,41 @@ impl Shading {
         let params = ApplyParams { ambient, n_max: n_max as u32, strength, write: write as u32 };
         match rows {
             ShadedRows::Counted(count, _) => {
-                let buffers: [&dyn AnyBuffer; 4] = [count, lamps, values, shaded];
+                let buffers: [&dyn AnyBuffer; 4] = [count, parts, values, shaded];
                 recorder.dispatch(&self.apply, &params, &buffers, linear_groups(n_max, 64));
             }
             ShadedRows::Listed(list, _) => {
-                list.over_list(recorder, &self.apply, &params, &[&list.count, lamps, values, shaded]);
+                list.over_list(recorder, &self.apply, &params, &[&list.count, parts, values, shaded]);
             }
         }
     }
 
-    /// Records the lamp's part of the shade of `faces [F, 3]` by their `normals [F, 3]`, `lamps [F]`.
+    /// Records the parts of the shade of `faces [F, 3]` by their `normals [F, 3]`, `parts [F, 2]`.
     ///
     /// # Panics
     /// When a length is wrong.
-    pub fn face_lamps(
+    pub fn face_parts(
         &self,
         recorder: &mut Recorder<'_>,
         light: &Light,
-        at: VisibleAt<'_>,
+        at: ExposureAt<'_>,
         faces: &Buffer<u32>,
         normals: &Buffer<f32>,
-        lamps: &Buffer<f32>,
+        parts: &Buffer<f32>,
     ) {
-        let n = lamps.len();
+        let n = parts.len() / 2;
         assert_eq!(normals.len(), 3 * n, "{}: length", normals.label());
         assert_eq!(faces.len(), 3 * n, "{}: length", faces.label());
-        let buffers: [&dyn AnyBuffer; 4] = [faces, normals, at.visible, lamps];
-        recorder.dispatch(&self.face_lamps, &self.lamp_params(light, at, n), &buffers, linear_groups(n, 64));
+        let buffers: [&dyn AnyBuffer; 4] = [faces, normals, at.exposure, parts];
+        recorder.dispatch(&self.face_parts, &self.part_params(light, at, n), &buffers, linear_groups(n, 64));
     }
 
-    fn lamp_params(&self, light: &Light, at: VisibleAt<'_>, n: usize) -> LampParams {
-        let first = at.frame * (self.corner_starts.len() - 1);
-        assert!(at.visible.len() >= first + self.corner_starts.len() - 1, "{}: length", at.visible.label());
-        let (n, first_visible) = (n as u32, first as u32);
-        LampParams { direction: light.direction, wrap: WRAP, n, first_visible, unused: [0; 2] }
+    fn part_params(&self, light: &Light, at: ExposureAt<'_>, n: usize) -> PartParams {
+        let n_vertices = self.corner_starts.len() - 1;
+        let first = at.frame * n_vertices;
+        assert!(at.exposure.len() >= 2 * (first + n_vertices), "{}: length", at.exposure.label());
+        let (n, first_exposure) = (n as u32, first as u32);
+        PartParams { direction: light.direction, wrap: WRAP, slope: light.slope, n, first_exposure, unused: [0; 3] }
     }
 
     /// Records `face_normals [F, 3]` to `vertex_normals [V, 3]`.
@@ -156,28 +158,28 @@ impl Shading {
         recorder.dispatch(&self.vertex_normals, &(n as u32), &buffers, linear_groups(n, 64));
     }
 
-    /// Records the lamp's part of the shade of the listed pixels, `[P]`, by unit normals `[V, 3]` of the vertices.
+    /// Records the parts of the shade of the listed pixels, `[P, 2]`, by unit normals `[V, 3]` of the vertices.
     ///
     /// # Panics
-    /// When `lamps` is shorter than the list can be.
+    /// When `parts` is shorter than the list can be.
     #[expect(clippy::too_many_arguments, reason = "the operands of the contract")]
-    pub fn pixel_lamps(
+    pub fn pixel_parts(
         &self,
         recorder: &mut Recorder<'_>,
         light: &Light,
-        at: VisibleAt<'_>,
+        at: ExposureAt<'_>,
         list: &Interpolate,
         n_pixels: usize,
         pix_to_face: &Buffer<i32>,
         bary_coords: &Buffer<f32>,
         faces: &Buffer<u32>,
         vertex_normals: &Buffer<f32>,
-        lamps: &Buffer<f32>,
+        parts: &Buffer<f32>,
     ) {
         let n_max = list.n_max(n_pixels);
-        assert!(lamps.len() >= n_max, "{}: length", lamps.label());
+        assert!(parts.len() >= 2 * n_max, "{}: length", parts.label());
         let buffers: [&dyn AnyBuffer; 8] =
-            [&list.count, &list.pixel_index, pix_to_face, bary_coords, faces, vertex_normals, at.visible, lamps];
-        list.over_list(recorder, &self.pixel_lamps, &self.lamp_params(light, at, n_max), &buffers);
+            [&list.count, &list.pixel_index, pix_to_face, bary_coords, faces, vertex_normals, at.exposure, parts];
+        list.over_list(recorder, &self.pixel_parts, &self.part_params(light, at, n_max), &buffers);
     }
 }

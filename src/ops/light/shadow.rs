@@ -1,6 +1,6 @@
 //! Cast shadows: which part of the lamp each vertex of a posed mesh sees.
 //!
-//! A depth image of the mesh as the lamp sees it (parallel rays, [`SIDE`] pixels over the mesh), in which each vertex is looked
+//! A [`DepthMap`] of the mesh as the lamp sees it ([`SIDE`] pixels over the mesh), in which each vertex is looked
 //! up. The lamp has an extent of [`RADIUS_DEG`], so the edge of a shadow is as wide as that makes it at its distance from what
 //! casts it: the mean distance of the hiding surface is looked for first, then the share of hidden lookups in the disc of
 //! that width (percentage-closer soft shadows, Fernando 2005).
@@ -10,6 +10,7 @@
 
 use glam::{Vec2, Vec3};
 
+use super::depth_map::DepthMap;
 use crate::ops::face_normals::cpu::forward as face_normals;
 
 /// Pixels of the depth image's side.
@@ -24,8 +25,6 @@ const BIAS_M: f32 = 0.01;
 const SEARCH_M: f32 = 0.06;
 /// Lookups in a disc.
 const LOOKUPS: usize = 16;
-/// Room of the depth image around the mesh, metres.
-const MARGIN_M: f32 = 0.02;
 
 /// The share of the lamp that each vertex sees, `[V]`, 0 to 1. `direction`: unit vector towards the lamp; faces show
 /// their outside counter-clockwise. A surface that looks away from the lamp lies in its own shadow.
@@ -33,11 +32,11 @@ const MARGIN_M: f32 = 0.02;
 /// # Panics
 /// When a face names a vertex that there is not.
 pub fn visibility(direction: [f32; 3], vertices: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<f32> {
-    let Some(map) = DepthMap::of(direction, vertices, faces) else { return vec![1.0; vertices.len()] };
+    let Some(map) = DepthMap::of(direction.into(), SIDE, vertices, faces) else { return vec![1.0; vertices.len()] };
     let normals = super::cpu::vertex_normals(faces, face_normals(faces, vertices).as_flattened(), vertices.len());
     let disc = disc();
     let lifted = vertices.iter().zip(normals.as_chunks().0).map(|(&v, &n)| Vec3::from(v) + LIFT_M * Vec3::from(n));
-    lifted.map(|point| map.visible(point, &disc)).collect()
+    lifted.map(|point| visible(&map, point, &disc)).collect()
 }
 
 /// Points of the unit disc, evenly spread (Vogel's spiral).
@@ -49,84 +48,22 @@ fn disc() -> [Vec2; LOOKUPS] {
     })
 }
 
-/// What the lamp sees.
-struct DepthMap {
-    /// Across, down, away from the lamp.
-    axes: [Vec3; 3],
-    /// Of the image's first corner, metres.
-    low: Vec2,
-    /// Pixels a metre.
-    scale: f32,
-    /// `[SIDE, SIDE]`, metres along the third axis; infinite where there is nothing.
-    depth: Vec<f32>,
-}
-
-impl DepthMap {
-    /// `None` for a mesh without extent, or one that is not finite.
-    fn of(direction: [f32; 3], vertices: &[[f32; 3]], faces: &[[u32; 3]]) -> Option<Self> {
-        let away = -Vec3::from(direction);
-        let (across, down) = away.any_orthonormal_pair();
-        let axes = [across, down, away];
-        let points: Vec<Vec3> = vertices.iter().map(|&v| Vec3::from(axes.map(|axis| axis.dot(v.into())))).collect();
-        let (low, high) = points.iter().fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(low, high), p| {
-            (low.min(p.truncate()), high.max(p.truncate()))
-        });
-        let (low, high) = (low - MARGIN_M, high + MARGIN_M);
-        let extent = (high - low).max_element();
-        if !(extent.is_finite() && extent > 0.0) {
-            return None;
-        }
-        let mut map = Self { axes, low, scale: SIDE as f32 / extent, depth: vec![f32::INFINITY; SIDE * SIDE] };
-        let place = |p: Vec3| ((p.truncate() - low) * map.scale).extend(p.z);
-        let points: Vec<Vec3> = points.into_iter().map(place).collect();
-        faces.iter().for_each(|face| map.draw(face.map(|v| points[v as usize])));
-        Some(map)
-    }
-
-    /// Keeps the nearest depth of a triangle's pixels.
-    fn draw(&mut self, [a, b, c]: [Vec3; 3]) {
-        let area = (b - a).truncate().perp_dot((c - a).truncate());
-        if area == 0.0 {
-            return;
-        }
-        let first = |low: f32| (low - 0.5).ceil().max(0.0) as usize;
-        let end = |high: f32| ((high - 0.5).floor() + 1.0).clamp(0.0, SIDE as f32) as usize;
-        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
-        for y in first(low.y)..end(high.y) {
-            for x in first(low.x)..end(high.x) {
-                let p = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
-                let wa = (b.truncate() - p).perp_dot(c.truncate() - p) / area;
-                let wb = (c.truncate() - p).perp_dot(a.truncate() - p) / area;
-                let wc = 1.0 - wa - wb;
-                if wa >= 0.0 && wb >= 0.0 && wc >= 0.0 {
-                    let at = &mut self.depth[y * SIDE + x];
-                    *at = at.min(wa * a.z + wb * b.z + wc * c.z);
-                }
-            }
-        }
-    }
-
-    fn visible(&self, point: Vec3, disc: &[Vec2; LOOKUPS]) -> f32 {
-        let [x, y, depth] = self.axes.map(|axis| axis.dot(point));
-        let (middle, depth) = ((Vec2::new(x, y) - self.low) * self.scale, depth - BIAS_M);
-        let at = |shift: Vec2| {
-            let pixel = (middle + shift * self.scale).clamp(Vec2::ZERO, Vec2::splat(SIDE as f32 - 1.0));
-            self.depth[pixel.y as usize * SIDE + pixel.x as usize]
-        };
-        let spread = RADIUS_DEG.to_radians().tan();
-        // What lies further aside than the lamp reaches at its distance hides nothing; 2 cm are left to the image's pixels.
-        let hides = |shift: Vec2| {
-            let before = depth - at(shift);
-            (before > 0.0 && before * spread >= shift.length() - 0.02).then_some(before)
-        };
-        let (sum, n) = disc
-            .iter()
-            .filter_map(|&d| hides(SEARCH_M * d))
-            .fold((0.0, 0.0), |(sum, n), before| (sum + before, n + 1.0));
-        // At least a pixel, so that the image's raster does not show.
-        let radius = (sum / f32::max(n, 1.0) * spread).max(1.0 / self.scale);
-        disc.iter().filter(|&&d| depth <= at(radius * d)).count() as f32 / LOOKUPS as f32
-    }
+/// The share of the lamp that a point sees.
+fn visible(map: &DepthMap, point: Vec3, disc: &[Vec2; LOOKUPS]) -> f32 {
+    let (place, depth) = map.place(point);
+    let depth = depth - BIAS_M;
+    let at = |shift: Vec2| map.nearest(map.pixel(place + shift));
+    let spread = RADIUS_DEG.to_radians().tan();
+    // What lies further aside than the lamp reaches at its distance hides nothing; 2 cm are left to the image's pixels.
+    let hides = |shift: Vec2| {
+        let before = depth - at(shift);
+        (before > 0.0 && before * spread >= shift.length() - 0.02).then_some(before)
+    };
+    let (sum, n) =
+        disc.iter().filter_map(|&d| hides(SEARCH_M * d)).fold((0.0, 0.0), |(sum, n), before| (sum + before, n + 1.0));
+    // At least a pixel, so that the image's raster does not show.
+    let radius = (sum / f32::max(n, 1.0) * spread).max(map.pixel_m());
+    disc.iter().filter(|&&d| depth <= at(radius * d)).count() as f32 / LOOKUPS as f32
 }
 
 #[cfg(test)]

@@ -1,12 +1,14 @@
-// lamps[k] = the lamp's part of the shade of Σ_c bary_coords[pixel, c] · vertex normal of corner c, times the same sum of
-// what the corners see of the lamp, for pixel = pixel_index[k].
-#import shared/lamp
+// parts[k] = the parts of the shade of Σ_c bary_coords[pixel, c] · vertex normal of corner c, times what reaches the pixel of the
+// ambient light and of the lamp, the same sum of the corners' exposure, for pixel = pixel_index[k].
 #import shared/linear_index
+#import shared/shade_parts
 
 struct Params {
-    lamp: Lamp,
+    direction: vec3<f32>,
+    wrap: f32,
+    slope: vec3<f32>,
     n_max: u32,
-    first_visible: u32,
+    first_exposure: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -16,8 +18,8 @@ struct Params {
 @group(0) @binding(4) var<storage, read> bary_coords: array<f32>; // [H, W, 3]
 @group(0) @binding(5) var<storage, read> faces: array<u32>; // [F, 3]
 @group(0) @binding(6) var<storage, read> vertex_normals: array<f32>; // [V, 3], unit
-@group(0) @binding(7) var<storage, read> visible: array<f32>; // [N, V]
-@group(0) @binding(8) var<storage, read_write> lamps: array<f32>; // [P]
+@group(0) @binding(7) var<storage, read> exposure: array<vec2<f32>>; // [N, V]
+@group(0) @binding(8) var<storage, read_write> parts: array<vec2<f32>>; // [P]
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -28,13 +30,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let pixel = pixel_index[k];
     let face = 3u * u32(pix_to_face[pixel]);
     var normal = vec3(0.0);
-    var seen = 0.0;
+    var reaching = vec2(0.0);
     for (var c = 0u; c < 3u; c++) {
         let corner = faces[face + c];
         let v = 3u * corner;
         let bary = bary_coords[3u * pixel + c];
         normal += bary * vec3(vertex_normals[v], vertex_normals[v + 1u], vertex_normals[v + 2u]);
-        seen += bary * visible[params.first_visible + corner];
+        reaching += bary * exposure[params.first_exposure + corner];
     }
-    lamps[k] = seen * lamp_at(params.lamp, normal);
+    parts[k] = reaching * shade_parts(Light(params.direction, params.wrap, params.slope), normal);
 }

@@ -1,0 +1,96 @@
+//! How far away a posed mesh lies as somebody infinitely far away sees it: parallel rays, nearest and farthest surface a pixel.
+
+use glam::{Vec2, Vec3};
+
+/// Room of the image around the mesh, metres.
+const MARGIN_M: f32 = 0.02;
+
+/// A square image of depths.
+pub struct DepthMap {
+    /// Across, down, away from the viewer.
+    axes: [Vec3; 3],
+    /// Of the image's first corner, metres.
+    low: Vec2,
+    side: usize,
+    /// Pixels a metre.
+    scale: f32,
+    /// `[side, side]` both, metres along the third axis; infinite (−infinite) where there is nothing.
+    nearest: Vec<f32>,
+    farthest: Vec<f32>,
+}
+
+impl DepthMap {
+    /// The mesh as seen from `direction` (unit) in `side`² pixels. `None` for a mesh without extent, or one that is not finite.
+    pub fn of(direction: Vec3, side: usize, vertices: &[[f32; 3]], faces: &[[u32; 3]]) -> Option<Self> {
+        let away = -direction;
+        let (across, down) = away.any_orthonormal_pair();
+        let axes = [across, down, away];
+        let points: Vec<Vec3> = vertices.iter().map(|&v| Vec3::from(axes.map(|axis| axis.dot(v.into())))).collect();
+        let (low, high) = points.iter().fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(low, high), p| {
+            (low.min(p.truncate()), high.max(p.truncate()))
+        });
+        let (low, high) = (low - MARGIN_M, high + MARGIN_M);
+        let extent = (high - low).max_element();
+        if !(extent.is_finite() && extent > 0.0) {
+            return None;
+        }
+        let nothing = |depth| vec![depth; side * side];
+        let (nearest, farthest) = (nothing(f32::INFINITY), nothing(f32::NEG_INFINITY));
+        let mut map = Self { axes, low, side, scale: side as f32 / extent, nearest, farthest };
+        let place = |p: Vec3| ((p.truncate() - low) * map.scale).extend(p.z);
+        let points: Vec<Vec3> = points.into_iter().map(place).collect();
+        faces.iter().for_each(|face| map.draw(face.map(|v| points[v as usize])));
+        Some(map)
+    }
+
+    /// Keeps the depths of a triangle's pixels.
+    fn draw(&mut self, [a, b, c]: [Vec3; 3]) {
+        let area = (b - a).truncate().perp_dot((c - a).truncate());
+        if area == 0.0 {
+            return;
+        }
+        let first = |low: f32| (low - 0.5).ceil().max(0.0) as usize;
+        let end = |high: f32| ((high - 0.5).floor() + 1.0).clamp(0.0, self.side as f32) as usize;
+        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+        for y in first(low.y)..end(high.y) {
+            for x in first(low.x)..end(high.x) {
+                let p = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
+                let wa = (b.truncate() - p).perp_dot(c.truncate() - p) / area;
+                let wb = (c.truncate() - p).perp_dot(a.truncate() - p) / area;
+                let wc = 1.0 - wa - wb;
+                if wa >= 0.0 && wb >= 0.0 && wc >= 0.0 {
+                    let (at, depth) = (y * self.side + x, wa * a.z + wb * b.z + wc * c.z);
+                    self.nearest[at] = self.nearest[at].min(depth);
+                    self.farthest[at] = self.farthest[at].max(depth);
+                }
+            }
+        }
+    }
+
+    /// Metres a pixel.
+    pub fn pixel_m(&self) -> f32 {
+        1.0 / self.scale
+    }
+
+    /// Where in the image a point lies, metres from its first corner, and its depth.
+    pub fn place(&self, point: Vec3) -> (Vec2, f32) {
+        let [x, y, depth] = self.axes.map(|axis| axis.dot(point));
+        (Vec2::new(x, y) - self.low, depth)
+    }
+
+    /// The index of the pixel at a place, or of the border's pixel next to it.
+    pub fn pixel(&self, place: Vec2) -> usize {
+        let pixel = (place * self.scale).clamp(Vec2::ZERO, Vec2::splat(self.side as f32 - 1.0));
+        pixel.y as usize * self.side + pixel.x as usize
+    }
+
+    /// What lies nearest to the viewer at a pixel; infinite where there is nothing.
+    pub fn nearest(&self, pixel: usize) -> f32 {
+        self.nearest[pixel]
+    }
+
+    /// What lies farthest from the viewer at a pixel; −infinite where there is nothing.
+    pub fn farthest(&self, pixel: usize) -> f32 {
+        self.farthest[pixel]
+    }
+}
