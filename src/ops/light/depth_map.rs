@@ -45,15 +45,17 @@ impl DepthMap {
 
     /// Keeps the depths of a triangle's pixels.
     fn draw(&mut self, [a, b, c]: [Vec3; 3]) {
+        // The pixels whose middles lie between two bounds; casts round towards zero, and below zero to zero.
+        let first = |low: f32| (low - 0.5) as usize + usize::from(low - 0.5 > (low - 0.5) as usize as f32);
+        let end = |high: f32| if high < 0.5 { 0 } else { ((high - 0.5) as usize + 1).min(self.side) };
+        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+        let (columns, rows) = (first(low.x)..end(high.x), first(low.y)..end(high.y));
         let area = (b - a).truncate().perp_dot((c - a).truncate());
-        if area == 0.0 {
+        if columns.is_empty() || rows.is_empty() || area == 0.0 {
             return;
         }
-        let first = |low: f32| (low - 0.5).ceil().max(0.0) as usize;
-        let end = |high: f32| ((high - 0.5).floor() + 1.0).clamp(0.0, self.side as f32) as usize;
-        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
-        for y in first(low.y)..end(high.y) {
-            for x in first(low.x)..end(high.x) {
+        for y in rows {
+            for x in columns.clone() {
                 let p = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
                 let wa = (b.truncate() - p).perp_dot(c.truncate() - p) / area;
                 let wb = (c.truncate() - p).perp_dot(a.truncate() - p) / area;

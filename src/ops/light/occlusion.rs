@@ -28,21 +28,37 @@ const BIAS_M: f32 = 0.004;
 pub fn openness(vertices: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<f32> {
     let normals = super::cpu::vertex_normals(faces, face_normals(faces, vertices).as_flattened(), vertices.len());
     let normals: Vec<Vec3> = normals.as_chunks().0.iter().map(|&n| n.into()).collect();
-    let (mut open, mut all) = (vec![0.0f32; vertices.len()], vec![0.0f32; vertices.len()]);
-    for axis in axes() {
-        let Some(map) = DepthMap::of(axis, SIDE, vertices, faces) else { return vec![1.0; vertices.len()] };
-        let lift = LIFT_PX * map.pixel_m();
-        for (v, (&vertex, &normal)) in vertices.iter().zip(&normals).enumerate() {
-            let cosine = normal.dot(axis);
-            let (place, depth) = map.place(Vec3::from(vertex) + lift * normal);
-            let pixel = map.pixel(place);
-            let sees =
-                if cosine > 0.0 { depth - BIAS_M <= map.nearest(pixel) } else { depth + BIAS_M >= map.farthest(pixel) };
-            all[v] += cosine.abs();
-            open[v] += if sees { cosine.abs() } else { 0.0 };
-        }
+    let along = |axes: &[Vec3]| -> Vec<[f32; 2]> {
+        let mut sums = vec![[0.0; 2]; vertices.len()];
+        axes.iter().for_each(|&axis| look_along(axis, vertices, &normals, faces, &mut sums));
+        sums
+    };
+    let axes = axes();
+    let n_threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let parts: Vec<Vec<[f32; 2]>> = std::thread::scope(|scope| {
+        let threads: Vec<_> = axes.chunks(AXES.div_ceil(n_threads)).map(|axes| scope.spawn(|| along(axes))).collect();
+        // A thread that panicked has a bug that shall be seen here.
+        threads.into_iter().map(|thread| thread.join().unwrap_or_else(|e| std::panic::resume_unwind(e))).collect()
+    });
+    let sum = |v: usize, k: usize| parts.iter().map(|part| part[v][k]).sum::<f32>();
+    let share = |v| if sum(v, 1) > 0.0 { sum(v, 0) / sum(v, 1) } else { 1.0 };
+    (0..vertices.len()).map(share).collect()
+}
+
+/// Adds to `sums [V]` the cosine to the normal of the end of a line that lies above a vertex where the vertex sees out along it, and
+/// that cosine in any case. Nothing is added for a mesh without extent.
+fn look_along(axis: Vec3, vertices: &[[f32; 3]], normals: &[Vec3], faces: &[[u32; 3]], sums: &mut [[f32; 2]]) {
+    let Some(map) = DepthMap::of(axis, SIDE, vertices, faces) else { return };
+    let lift = LIFT_PX * map.pixel_m();
+    for ((&vertex, &normal), [open, all]) in vertices.iter().zip(normals).zip(sums) {
+        let cosine = normal.dot(axis);
+        let (place, depth) = map.place(Vec3::from(vertex) + lift * normal);
+        let pixel = map.pixel(place);
+        let sees =
+            if cosine > 0.0 { depth - BIAS_M <= map.nearest(pixel) } else { depth + BIAS_M >= map.farthest(pixel) };
+        *all += cosine.abs();
+        *open += if sees { cosine.abs() } else { 0.0 };
     }
-    open.iter().zip(all).map(|(open, all)| if all > 0.0 { open / all } else { 1.0 }).collect()
 }
 
 /// Unit vectors spread evenly over half of the sphere (Vogel's spiral, by equal heights).
