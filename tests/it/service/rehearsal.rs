@@ -26,7 +26,21 @@ pub struct Script {
     pub hang_after: u32,
 }
 
-pub struct ScriptedEngine;
+pub struct ScriptedEngine {
+    queue: Arc<SqliteQueue>,
+    runtime: tokio::runtime::Handle,
+}
+
+impl ScriptedEngine {
+    /// Waits until the queue has heard of a checkpoint at `saved`, as it has long before most kills of a true fit.
+    fn until_known(&self, task: &FitTask, saved: f32) {
+        let id = task.work_dir.parent().and_then(|job| job.file_name()?.to_str()).unwrap().parse().unwrap();
+        let known = || self.runtime.block_on(self.queue.get(id)).unwrap().unwrap().saved;
+        while known() < f64::from(saved) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
 
 impl Engine for ScriptedEngine {
     fn fit(&mut self, task: &FitTask, observer: &mut dyn Observer) -> Result<Outcome, PipelineError> {
@@ -35,6 +49,7 @@ impl Engine for ScriptedEngine {
         let script = script.unwrap_or(Script { steps: 6, step_ms: 20, save_every: 1, ..Script::default() });
         let checkpoint = task.work_dir.join("checkpoint");
         let begin = std::fs::read_to_string(&checkpoint).map_or(0, |text| text.parse::<u32>().unwrap());
+        let mut saved = 0.0;
         for step in begin..script.steps {
             if let Some(reason) = observer.stop() {
                 return Err(PipelineError::Stopped(reason));
@@ -54,6 +69,7 @@ impl Engine for ScriptedEngine {
             if script.save_every > 0 && done % script.save_every == 0 {
                 effigy::storage::write_atomic(&checkpoint, done.to_string().as_bytes()).unwrap();
                 observer.saved(progress);
+                saved = progress;
             }
             let of_this_attempt = done - begin;
             let again = task.work_dir.join("hung");
@@ -64,8 +80,7 @@ impl Engine for ScriptedEngine {
                 }
             }
             if of_this_attempt == script.kill_after {
-                // What was told is passed on every 200 ms.
-                std::thread::sleep(Duration::from_millis(500));
+                self.until_known(task, saved);
                 // SAFETY: a signal to this very process.
                 unsafe { libc::kill(libc::getpid(), libc::SIGKILL) };
             }
@@ -96,7 +111,8 @@ fn worker_process() {
         let (backoff, lease) = (Duration::from_millis(1), Duration::from_millis(lease_ms));
         let policy = Policy { backoff, lease, ..Policy::default() };
         let queue = Arc::new(SqliteQueue::open(&store.database(), env.clone(), policy).await.unwrap());
-        let device = DeviceThread::start(ScriptedEngine).unwrap();
+        let engine = ScriptedEngine { queue: queue.clone(), runtime: tokio::runtime::Handle::current() };
+        let device = DeviceThread::start(engine).unwrap();
         let (shutdown, stopped) = watch::channel(false);
         let drawing = device.clone();
         std::thread::spawn(move || {
