@@ -1,7 +1,7 @@
 //! Pictures of the avatar in any pose, from any camera, at any size; shaded from the hash texture, once for each surface that
 //! a pixel shows.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use image::{GrayImage, RgbaImage};
 
@@ -191,15 +191,22 @@ impl Renderer {
         spec: &RenderSpec,
         mut albedo: impl FnMut(&[SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError>,
     ) -> Result<RgbaImage, RenderError> {
-        let mut lit = None;
-        let picture = self.draw(spec, |points, posed| {
-            let mut colours = albedo(points)?;
-            if spec.light == Light::Captured {
-                let lit = lit.get_or_insert_with(|| LitBody::new(&self.model, &posed.vertices));
-                lit.shade(points, &mut colours);
-            }
-            Ok(colours)
-        })?;
+        let posed = self.posed(spec)?;
+        let picture = if spec.light == Light::Captured {
+            let lit = OnceLock::new();
+            let light = || lit.get_or_init(|| LitBody::new(&self.model, &posed.vertices));
+            // The light is the host's work: it is done while the device looks for what the pixels show.
+            std::thread::scope(|scope| {
+                scope.spawn(light);
+                self.trace(spec, &posed, |points| {
+                    let mut colours = albedo(points)?;
+                    light().shade(points, &mut colours);
+                    Ok(colours)
+                })
+            })?
+        } else {
+            self.trace(spec, &posed, albedo)?
+        };
         Ok(match spec.background {
             Background::Transparent => picture.transparent(),
             Background::Colour(rgb) => picture.over(|_, _| rgb),
@@ -208,22 +215,26 @@ impl Renderer {
 
     /// The person's coverage of each pixel, 0 to 255, without shading. Waits.
     pub fn mask(&self, spec: &RenderSpec) -> Result<GrayImage, RenderError> {
-        Ok(self.draw(spec, |points, _| Ok(vec![[0.0; 3]; points.len()]))?.coverage())
+        let posed = self.posed(spec)?;
+        Ok(self.trace(spec, &posed, |points| Ok(vec![[0.0; 3]; points.len()]))?.coverage())
     }
 
-    fn draw(
-        &self,
-        spec: &RenderSpec,
-        mut colour: impl FnMut(&[SurfacePoint], &Posed<f32>) -> Result<Vec<[f32; 3]>, GpuError>,
-    ) -> Result<Picture, RenderError> {
+    /// The body as a picture shows it; [`RenderError::Invalid`] for a picture that cannot be.
+    fn posed(&self, spec: &RenderSpec) -> Result<Posed<f32>, RenderError> {
         spec.check(&self.model)?;
         let model = &self.model;
         let betas = spec.betas.as_deref().unwrap_or(&model.betas);
         let transl = spec.place.transl(&model.body, betas);
-        let posed = forward(&model.body, betas, Some(&model.offsets), &spec.pose, transl);
-        Ok(self
-            .tracer
-            .trace(&posed.vertices, &spec.camera, spec.samples, Shading::Surfaces, |points| colour(points, &posed))?)
+        Ok(forward(&model.body, betas, Some(&model.offsets), &spec.pose, transl))
+    }
+
+    fn trace(
+        &self,
+        spec: &RenderSpec,
+        posed: &Posed<f32>,
+        colour: impl FnMut(&[SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError>,
+    ) -> Result<Picture, GpuError> {
+        self.tracer.trace(&posed.vertices, &spec.camera, spec.samples, Shading::Surfaces, colour)
     }
 }
 

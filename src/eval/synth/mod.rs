@@ -120,9 +120,9 @@ impl Scene<'_> {
 
     fn picture(&self, posed: &Posed<f32>, camera: &Camera) -> Result<Picture, GpuError> {
         let normals = vertex_normals(&posed.vertices, &self.body.faces);
-        let visible = self.paint.visible(&posed.vertices);
+        let exposures = self.paint.exposures(&posed.vertices);
         self.tracer.trace(&posed.vertices, camera, SAMPLES, Shading::Samples, |points| {
-            Ok(points.iter().map(|p| self.paint.colour(p, &normals, &visible)).collect())
+            Ok(points.iter().map(|p| self.paint.colour(p, &normals, &exposures)).collect())
         })
     }
 }

@@ -8,6 +8,8 @@ use super::SynthOptions;
 use super::clothes::{Dress, REGIONS, Region};
 use crate::avatar::SurfacePoint;
 use crate::body::{Body, KeypointSource};
+use crate::ops::light::Exposure;
+use crate::ops::light::occlusion::openness;
 use crate::ops::light::shadow::visibility;
 
 /// The look of one made person.
@@ -29,9 +31,12 @@ pub(super) struct Paint<'a> {
     checked: bool,
     /// Towards the light, world space
     light: Vec3,
-    /// Share of the light that comes from there; the rest comes from everywhere.
+    /// Share of the light that comes from there; the rest comes from everywhere and is less in corners.
     side_light: f32,
 }
+
+/// The power of a point's openness that its ambient light has: a camera's gamma, no light thrown back.
+const OCCLUSION: f32 = 1.0 / 2.2;
 
 fn mix(a: Vec3, b: Vec3, t: f32) -> Vec3 {
     a + (b - a) * t.clamp(0.0, 1.0)
@@ -88,21 +93,23 @@ impl<'a> Paint<'a> {
         }
     }
 
-    /// The share of the side light that each vertex of the posed mesh sees.
-    pub fn visible(&self, vertices: &[[f32; 3]]) -> Vec<f32> {
+    /// What of the light reaches each vertex of the posed mesh; even light has no corners.
+    pub fn exposures(&self, vertices: &[[f32; 3]]) -> Vec<Exposure> {
         if self.side_light == 0.0 {
-            return vec![1.0; vertices.len()];
+            return vec![Exposure::FULL; vertices.len()];
         }
-        visibility(self.light.to_array(), vertices, &self.body.faces)
+        let visible = visibility(self.light.to_array(), vertices, &self.body.faces);
+        let open = openness(vertices, &self.body.faces).into_iter().map(|open| open.powf(OCCLUSION));
+        open.zip(visible).map(|(ambient, lamp)| Exposure { ambient, lamp }).collect()
     }
 
-    /// sRGB of a surface point under the light; `normals` and `visible` are the posed mesh's, in the world.
-    pub fn colour(&self, point: &SurfacePoint, normals: &[[f32; 3]], visible: &[f32]) -> [f32; 3] {
+    /// sRGB of a surface point under the light; `normals` and `exposures` are the posed mesh's, in the world.
+    pub fn colour(&self, point: &SurfacePoint, normals: &[[f32; 3]], exposures: &[Exposure]) -> [f32; 3] {
         let face = self.body.faces[point.face as usize].map(|v| v as usize);
         let normal: Vec3 = (0..3).map(|k| Vec3::from(normals[face[k]]) * point.bary[k]).sum();
-        let seen: f32 = (0..3).map(|k| visible[face[k]] * point.bary[k]).sum();
-        let lamp = seen * normal.normalize_or_zero().dot(self.light).max(0.0);
-        let shade = 1.0 - self.side_light + self.side_light * lamp * 1.6;
+        let Exposure { ambient, lamp } = Exposure::weighted((0..3).map(|k| (point.bary[k], exposures[face[k]])));
+        let lamp = lamp * normal.normalize_or_zero().dot(self.light).max(0.0);
+        let shade = (1.0 - self.side_light) * ambient + self.side_light * lamp * 1.6;
         (self.albedo(point) * shade).clamp(Vec3::ZERO, Vec3::ONE).into()
     }
 

@@ -54,14 +54,16 @@ impl DepthMap {
         if columns.is_empty() || rows.is_empty() || area == 0.0 {
             return;
         }
+        // Weights and depth are linear over the image: from the first corner on, a step across and a step down.
+        let (ab, ac, over) = ((b - a).truncate(), (c - a).truncate(), 1.0 / area);
+        let (across, down) = (Vec2::new(ac.y, -ab.y) * over, Vec2::new(-ac.x, ab.x) * over);
+        let deeper = Vec2::new(b.z - a.z, c.z - a.z);
         for y in rows {
+            let in_row = down * (y as f32 + 0.5 - a.y);
             for x in columns.clone() {
-                let p = Vec2::new(x as f32 + 0.5, y as f32 + 0.5);
-                let wa = (b.truncate() - p).perp_dot(c.truncate() - p) / area;
-                let wb = (c.truncate() - p).perp_dot(a.truncate() - p) / area;
-                let wc = 1.0 - wa - wb;
-                if wa >= 0.0 && wb >= 0.0 && wc >= 0.0 {
-                    let (at, depth) = (y * self.side + x, wa * a.z + wb * b.z + wc * c.z);
+                let weights = across * (x as f32 + 0.5 - a.x) + in_row;
+                if weights.x >= 0.0 && weights.y >= 0.0 && weights.x + weights.y <= 1.0 {
+                    let (at, depth) = (y * self.side + x, a.z + weights.dot(deeper));
                     self.nearest[at] = self.nearest[at].min(depth);
                     self.farthest[at] = self.farthest[at].max(depth);
                 }
