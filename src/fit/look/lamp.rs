@@ -22,9 +22,13 @@ const MAX_SEARCHED: usize = 40_000;
 /// Directions that are tried without shadows: round the person, and above the horizon.
 const AZIMUTHS: usize = 24;
 const ELEVATIONS_DEG: [f64; 3] = [15.0, 35.0, 55.0];
-/// Directions that are tried with shadows: from the best azimuth without, and above the horizon.
-const ASIDE_DEG: [f64; 3] = [-12.0, 0.0, 12.0];
+/// Directions that are tried with shadows: first these elevations at the best azimuth without shadows, then what lies beside the best
+/// by the first of these steps for as long as that is better, then by the next.
 const SHADOWED_ELEVATIONS_DEG: [f64; 4] = [20.0, 32.0, 44.0, 56.0];
+const STEPS_DEG: [f64; 2] = [12.0, 6.0];
+/// How far it goes aside, at most, and between which elevations it stays.
+const MAX_ASIDE_DEG: f64 = 48.0;
+const ELEVATION_RANGE_DEG: [f64; 2] = [10.0, 70.0];
 /// Frames whose shadows are cast for each direction that is tried.
 const SHADOWED_FRAMES: usize = 12;
 /// Rounds of alternation between albedo and light, in the search and for its winner.
@@ -146,17 +150,32 @@ pub fn solve_shadowed_light(
     let some: Vec<usize> = (0..n).step_by(n.div_ceil(SHADOWED_FRAMES).max(1)).collect();
     let in_some = searched(observations, |o| some.binary_search(&(o.frame as usize)).is_ok());
     let around = sky.azimuth(start.direction);
-    let tried = ASIDE_DEG.into_iter().flat_map(|aside| SHADOWED_ELEVATIONS_DEG.map(|elevation| (aside, elevation)));
-    let (_, direction) = cheapest(tried.map(|(aside, elevation)| {
-        let direction = sky.direction(around + aside.to_radians(), elevation);
-        let lamp = unit(direction);
+    let towards = |[aside, elevation]: [f64; 2]| sky.direction(around + aside.to_radians(), elevation);
+    let cost = |place: [f64; 2]| {
+        let lamp = unit(towards(place));
         let exposures = exposures(&lamp, &some);
         let of = |o: &Observation| {
             let frame = some.binary_search(&(o.frame as usize)).unwrap_or(0);
             terms(o, &lamp, &exposures[frame])
         };
-        (Problem::new(&in_some, faces.len(), of).solve(SEARCH_ROUNDS).error * unusual(elevation), direction)
-    }));
+        Problem::new(&in_some, faces.len(), of).solve(SEARCH_ROUNDS).error * unusual(place[1])
+    };
+    let mut best = cheapest(SHADOWED_ELEVATIONS_DEG.map(|elevation| (cost([0.0, elevation]), [0.0, elevation])));
+    for step in STEPS_DEG {
+        loop {
+            let beside = [[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]].map(|by: [f64; 2]| {
+                let [aside, elevation] = [0, 1].map(|k| best.1[k] + step * by[k]);
+                let [low, high] = ELEVATION_RANGE_DEG;
+                [aside.clamp(-MAX_ASIDE_DEG, MAX_ASIDE_DEG), elevation.clamp(low, high)]
+            });
+            let next = cheapest(beside.map(|place| (cost(place), place)));
+            if next.0.total_cmp(&best.0).is_ge() {
+                break;
+            }
+            best = next;
+        }
+    }
+    let direction = towards(best.1);
     let all: Vec<usize> = (0..n).collect();
     let lamp = unit(direction);
     let exposures = exposures(&lamp, &all);
@@ -183,12 +202,12 @@ fn searched(observations: &[Observation], counts: impl Fn(&Observation) -> bool)
     observations.iter().filter(|o| counts(o)).filter(chosen).copied().collect()
 }
 
-/// The direction of the lowest cost, and that.
+/// What was tried at the lowest cost, and that.
 ///
 /// # Panics
-/// When none was tried.
-fn cheapest(tried: impl Iterator<Item = (f64, [f32; 3])>) -> (f64, [f32; 3]) {
-    tried.min_by(|a, b| a.0.total_cmp(&b.0)).expect("directions are tried")
+/// When nothing was tried.
+fn cheapest<T>(tried: impl IntoIterator<Item = (f64, T)>) -> (f64, T) {
+    tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).expect("directions are tried")
 }
 
 /// The least squares of `½ x·matrix·x − right·x` with no x below zero, from `start`: one number after the other (Gauss–Seidel).
@@ -464,8 +483,9 @@ mod tests {
         let body = crate::body::Body::test_body();
         let (clip, light) = (turning_body(&body), lamp(0.6, 44.0));
         let seen = observed(&clip, &light);
-        let (found, reaching) = solve_shadowed_light(&seen, &body.faces, &lamp(0.7, 15.0), &sky(), &clip);
-        assert!(angle_deg(found.direction, light.direction) < 8.0, "{found:?}");
+        // From 23° aside.
+        let (found, reaching) = solve_shadowed_light(&seen, &body.faces, &lamp(1.0, 15.0), &sky(), &clip);
+        assert!(angle_deg(found.direction, light.direction) < 6.0, "{found:?}");
         let (ours, want) = (found.strength[0] / found.ambient[0], light.strength[0] / light.ambient[0]);
         assert!((ours / want - 1.0).abs() < 0.15, "{ours} instead of {want}");
         assert!(glam::Vec3::from(found.slope).length() < 0.1, "even ambient light: {found:?}");
