@@ -12,6 +12,7 @@ pub mod config;
 pub mod data_dir;
 pub mod distance;
 pub mod eval;
+pub mod fingerprint;
 pub mod fit;
 pub mod gpu;
 pub mod http;

@@ -4,9 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context as _, Result, ensure};
-use effigy::body::Body;
-use effigy::data_dir::{body_path, data_dir};
-use effigy::eval::{SynthOptions, synthesise};
+use effigy::data_dir::data_dir;
+use effigy::eval::{KeptClips, SynthOptions};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::robustness::{
     CASES, Case, Comparison, Outcome, Settings, Status, TAKES, Take, document, run as run_case, sheet,
@@ -79,7 +78,7 @@ fn spoiled(gpu: &Arc<Gpu>, args: &Args, work: &Path) -> Result<Vec<(&'static Cas
     let chosen = chosen(&args.cases, CASES.iter().collect())?;
     let clip = match &args.clip {
         Some(clip) => clip.clone(),
-        None => made(gpu, args, work, "made", &options(args))?,
+        None => made(gpu, args, work, &options(args))?,
     };
     let name = clip.file_name().context("the clip's folder has no name")?.to_string_lossy().into_owned();
     let settings = settings(args, work, &name, clip)?;
@@ -92,7 +91,7 @@ fn takes(gpu: &Arc<Gpu>, args: &Args, work: &Path) -> Result<Vec<(&'static Case,
     let with_clip = |take: &'static Take| {
         let mut options = options(args);
         (take.film)(&mut options);
-        let clip = made(gpu, args, work, take.case.name, &options)?;
+        let clip = made(gpu, args, work, &options)?;
         Ok((&take.case, settings(args, work, &format!("filmed-{}x{}", args.frames, args.size), clip)?))
     };
     let wanted = |take: &&Take| chosen.iter().any(|case| case.name == take.case.name);
@@ -102,7 +101,7 @@ fn takes(gpu: &Arc<Gpu>, args: &Args, work: &Path) -> Result<Vec<(&'static Case,
 fn settings(args: &Args, work: &Path, name: &str, clip: PathBuf) -> Result<Settings> {
     let frames = args.max_frames.map_or(String::new(), |n| format!("-{n}"));
     Ok(Settings {
-        // All that a result hangs on: one of other settings is none of this run's.
+        // Results of other settings stay beside this run's.
         work: work.join(format!("{name}-{}-{}{frames}-{}-{}", args.body, args.preset, args.truths, args.seed)),
         clip,
         effigy: std::env::current_exe()?,
@@ -136,21 +135,8 @@ fn options(args: &Args) -> SynthOptions {
 }
 
 /// The folder of a made clip; one that is there is taken.
-fn made(gpu: &Arc<Gpu>, args: &Args, work: &Path, name: &str, options: &SynthOptions) -> Result<PathBuf> {
-    let folder = work.join(format!("{name}-{}-{}x{}-{}-{}", args.body, args.frames, args.size, args.truths, args.seed));
-    if folder.is_dir() {
-        return Ok(folder);
-    }
-    let body = match args.body.as_str() {
-        "test" => Body::test_body(),
-        name => Body::load(&body_path(name)).with_context(|| format!("{name}: import a body first (`make body`)"))?,
-    };
-    std::fs::create_dir_all(work).with_context(|| work.display().to_string())?;
-    // Under another name until it is whole.
-    let making = work.join("making");
-    synthesise(gpu, &body, options, &making, |_, _| {})?;
-    std::fs::rename(&making, &folder)?;
-    Ok(folder)
+fn made(gpu: &Arc<Gpu>, args: &Args, work: &Path, options: &SynthOptions) -> Result<PathBuf> {
+    Ok(KeptClips { gpu, body: &args.body, folder: work }.clip(options)?)
 }
 
 fn line(outcome: &Outcome) -> String {

@@ -21,4 +21,4 @@ pub use nearest::Surface;
 pub use report::{FrameIou, GeometryScore, ImageFigures, ImageScore, JointScore, Report, Summary};
 pub use run::{EvalError, EvalOptions, evaluate};
 pub use subject::{Novel, NovelPose, Subject, SubjectError};
-pub use synth::{Build, Filming, Outfit, SynthError, SynthOptions, synthesise};
+pub use synth::{Build, Filming, KeptClips, Outfit, SynthError, SynthOptions, synthesise};

@@ -14,7 +14,9 @@ use serde::{Deserialize, Serialize};
 use super::cases::Case;
 use super::footage::Footage;
 use crate::avatar::{AvatarModel, Renderer};
+use crate::data_dir::body_path;
 use crate::eval::{EvalOptions, ImageFigures, Subject, evaluate};
+use crate::fingerprint::Fingerprint;
 use crate::gpu::Gpu;
 use crate::page::{shrunk, strip};
 
@@ -66,19 +68,32 @@ pub struct Outcome {
     pub secs: f64,
 }
 
+/// A result that is kept for the next run, with what it was made of.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    made_of: String,
+    outcome: Outcome,
+}
+
 /// Longest side of each of a case's three pictures.
 const PIECE_PX: u32 = 150;
 
-/// Runs a case, or reads what it came to before. Leaves `result.json` and, of an avatar, `piece.png` (the first frame as the
-/// fit sees it, a held-out view and a held-out pose of the avatar) in the case's folder.
+/// Runs a case, or reads what it came to before with the same program, clip, body and settings. Leaves `result.json` and, of an
+/// avatar, `piece.png` (the first frame as the fit sees it, a held-out view and a held-out pose of the avatar) in the case's
+/// folder.
 ///
 /// # Errors
 /// Where the clip cannot be read or written; a fit that fails is an outcome.
 pub fn run(gpu: &Arc<Gpu>, case: &Case, settings: &Settings) -> Result<Outcome> {
     let folder = settings.work.join(case.name);
     let result = folder.join("result.json");
-    if let Some(done) = std::fs::read(&result).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
-        return Ok(done);
+    let made_of = made_of(settings)?;
+    let kept: Option<Kept> = std::fs::read(&result).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+    match kept {
+        Some(kept) if kept.made_of == made_of => return Ok(kept.outcome),
+        // With whatever lies there: a fit goes on from a checkpoint that it finds.
+        _ if folder.exists() => std::fs::remove_dir_all(&folder).with_context(|| folder.display().to_string())?,
+        _ => {}
     }
     let (clip, avatar) = (folder.join("clip"), folder.join("avatar"));
     std::fs::create_dir_all(&clip).with_context(|| clip.display().to_string())?;
@@ -103,9 +118,22 @@ pub fn run(gpu: &Arc<Gpu>, case: &Case, settings: &Settings) -> Result<Outcome> 
         measure(gpu, settings, &avatar, &folder, &footage, &mut outcome)?;
     }
     // Last, so that a case that was interrupted runs again.
-    std::fs::write(&result, serde_json::to_vec_pretty(&outcome)?)?;
+    let kept = Kept { made_of, outcome };
+    std::fs::write(&result, serde_json::to_vec_pretty(&kept)?)?;
     std::fs::remove_dir_all(&clip)?;
-    Ok(outcome)
+    Ok(kept.outcome)
+}
+
+/// All that a result hangs on but the case itself.
+fn made_of(settings: &Settings) -> Result<String> {
+    let Settings { preset, body, max_frames, seed, truths, .. } = settings;
+    let made_of = Fingerprint::of_program()?
+        .with_text(&format!("{preset} {body} {max_frames:?} {seed} {truths}"))
+        .with_files_of(&settings.clip)
+        .with_context(|| settings.clip.display().to_string())?;
+    let body = body_path(body);
+    // Without a file it is the built-in body, which is the program's.
+    Ok(if body.is_file() { made_of.with_file(&body)? } else { made_of }.digits())
 }
 
 /// A process of its own: a fit that crashes takes nothing along.

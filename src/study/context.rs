@@ -7,8 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context as _, Result, ensure};
 
 use crate::body::Body;
-use crate::data_dir::body_path;
-use crate::eval::{SynthOptions, synthesise};
+use crate::eval::{KeptClips, SynthOptions};
 use crate::gpu::Gpu;
 
 /// The surroundings of a study.
@@ -27,32 +26,19 @@ pub struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// The study's body.
-    pub fn load_body(&self) -> Result<Body> {
-        if self.body == "test" {
-            return Ok(Body::test_body());
-        }
-        let path = body_path(&self.body);
-        Body::load(&path).with_context(|| format!("{}: import a body first (`make body`)", path.display()))
+    fn clips(&self) -> KeptClips<'_> {
+        KeptClips { gpu: &self.gpu, body: &self.body, folder: &self.work }
     }
 
-    /// The folder of a made clip of the study's body ([`synthesise`]); one that is there is taken.
+    /// The study's body.
+    pub fn load_body(&self) -> Result<Body> {
+        Ok(self.clips().load_body()?)
+    }
+
+    /// The folder of a made clip of the study's body.
     pub fn clip(&self, options: &SynthOptions) -> Result<PathBuf> {
-        let SynthOptions { frames, size_px, seed, truths, outfit, side_light, .. } = options;
-        let outfit = format!("{outfit:?}").to_lowercase();
-        let name = format!("clip-{}-{outfit}-{side_light}-{frames}x{size_px}-{truths}-{seed}", self.body);
-        let folder = self.work.join(&name);
-        if folder.is_dir() {
-            return Ok(folder);
-        }
-        (self.say)(&format!("making a clip of {frames} frames of {size_px}²"));
-        std::fs::create_dir_all(&self.work).with_context(|| self.work.display().to_string())?;
-        // Under another name until it is whole.
-        let making = tempfile::tempdir_in(&self.work)?;
-        let part = making.path().join(name);
-        synthesise(&self.gpu, &self.load_body()?, options, &part, |_, _| {})?;
-        std::fs::rename(&part, &folder)?;
-        Ok(folder)
+        (self.say)(&format!("a clip of {} frames of {}²", options.frames, options.size_px));
+        Ok(self.clips().clip(options)?)
     }
 
     /// Runs this program with `arguments` and waits; an error carries what it wrote last.
@@ -91,22 +77,6 @@ impl Context<'_> {
 mod tests {
     use super::*;
     use crate::ops::testing::gpu;
-
-    #[test]
-    fn a_clip_is_made_once() {
-        let Some(gpu) = gpu("study::a_clip_is_made_once") else { return };
-        let work = tempfile::tempdir().unwrap();
-        let context = Context::for_test(gpu, work.path());
-        let options = SynthOptions { frames: 2, size_px: 64, truths: 1, ..SynthOptions::default() };
-        let folder = context.clip(&options).unwrap();
-        assert!(folder.join("video.mp4").is_file() && folder.join("keypoints.json").is_file());
-        let mark = folder.join("mark");
-        std::fs::write(&mark, "").unwrap();
-        assert_eq!(context.clip(&options).unwrap(), folder);
-        assert!(mark.exists(), "the clip was made anew");
-        let other = context.clip(&SynthOptions { seed: 2, ..options }).unwrap();
-        assert_ne!(other, folder);
-    }
 
     #[test]
     fn a_program_that_cannot_run_is_named() {

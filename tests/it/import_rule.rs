@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Folder → the folders that it may name. Root leaves (`camera`, `npz`, `data_dir`, `distance`) are open to all.
+/// Folder → the folders that it may name. Root leaves (`camera`, `npz`, `data_dir`, `distance`, `fingerprint`) are open to all.
 const RULE: &[(&str, &[&str])] = &[
     ("http", &["jobs", "storage", "capture"]),
     ("worker", &["jobs", "storage", "capture", "fit", "avatar", "eval", "quality", "page", "gpu", "body"]),
@@ -27,7 +27,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("telemetry", &[]),
 ];
 
-const ROOT_LEAVES: &[&str] = &["camera", "npz", "data_dir", "distance"];
+const ROOT_LEAVES: &[&str] = &["camera", "npz", "data_dir", "distance", "fingerprint"];
 
 fn rust_files(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()) {

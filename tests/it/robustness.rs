@@ -1,6 +1,6 @@
 //! `effigy robustness` on tiny made clips: cases are fitted, compared, written down, and not run again.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 fn robustness(folder: &Path, more: &[&str]) -> Output {
@@ -21,11 +21,21 @@ fn clips_filmed_otherwise_are_compared_with_the_plain_one() {
     let page = std::fs::read_to_string(folder.path().join("docs/filming.md")).unwrap();
     assert!(page.contains("| 1 | a level camera") && page.contains("| 2 | a phone held close"), "{page}");
     assert!(page.contains("(filming/cases.jpg)") && page.contains("Of 1 others"), "{page}");
-    let clip = folder.path().join("work/phone-test-8x64-1-0");
-    let camera: serde_json::Value = serde_json::from_slice(&std::fs::read(clip.join("camera.json")).unwrap()).unwrap();
-    assert_eq!((&camera["width"], &camera["height"]), (&48.into(), &84.into()), "upright, a third taller than 64");
+    let cameras = std::fs::read_dir(folder.path().join("work")).unwrap().filter_map(|entry| {
+        let camera = std::fs::read(entry.unwrap().path().join("camera.json")).ok()?;
+        Some(serde_json::from_slice::<serde_json::Value>(&camera).unwrap())
+    });
+    let mut sizes: Vec<_> = cameras.map(|c| (c["width"].as_u64().unwrap(), c["height"].as_u64().unwrap())).collect();
+    sizes.sort_unstable();
+    assert_eq!(sizes, [(48, 84), (64, 64)], "one of them upright, a third taller");
     let wrong = robustness(folder.path(), &["--filmed", "--cases", "masks-blob"]);
     assert!(!wrong.status.success() && String::from_utf8_lossy(&wrong.stderr).contains("phone"));
+}
+
+/// Where a case's result lies, in whichever run's folder.
+fn result_of(work: &Path, case: &str) -> PathBuf {
+    let mut runs = std::fs::read_dir(work).unwrap().map(|e| e.unwrap().path().join(case).join("result.json"));
+    runs.find(|path| path.is_file()).expect("a result")
 }
 
 #[test]
@@ -47,14 +57,19 @@ fn spoiled_clips_are_compared_with_the_clean_one_and_not_twice() {
         sheet.height()
     );
 
-    // A result that is there is believed.
-    let work = folder.path().join("work/made-test-8x64-1-0-test-draft-1-0/clean/result.json");
-    let mut result: serde_json::Value = serde_json::from_slice(&std::fs::read(&work).unwrap()).unwrap();
-    result["views_db"] = 99.0.into();
-    std::fs::write(&work, result.to_string()).unwrap();
-    assert!(robustness(folder.path(), &["--cases", "masks-blob"]).status.success());
-    let page = std::fs::read_to_string(folder.path().join("docs/robustness.md")).unwrap();
+    // A result that is there is believed, if it was made of the same.
+    let change = |change: fn(&mut serde_json::Value)| {
+        let path = result_of(&folder.path().join("work"), "clean");
+        let mut result: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        change(&mut result);
+        std::fs::write(&path, result.to_string()).unwrap();
+        assert!(robustness(folder.path(), &["--cases", "masks-blob"]).status.success());
+        std::fs::read_to_string(folder.path().join("docs/robustness.md")).unwrap()
+    };
+    let page = change(|result| result["outcome"]["views_db"] = 99.0.into());
     assert!(page.contains("99.00") && page.contains("worse, flagged"), "{page}");
+    let page = change(|result| result["made_of"] = "another program".into());
+    assert!(!page.contains("99.00"), "{page}");
 
     let wrong = robustness(folder.path(), &["--cases", "nothing"]);
     assert!(!wrong.status.success() && String::from_utf8_lossy(&wrong.stderr).contains("masks-blob"));

@@ -4,6 +4,7 @@
 mod build;
 mod clothes;
 mod filming;
+mod kept;
 mod keypoints;
 mod motion;
 mod paint;
@@ -11,7 +12,7 @@ mod skirt;
 mod write;
 
 use std::borrow::Cow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
@@ -23,13 +24,14 @@ pub use self::build::Build;
 pub use self::clothes::Outfit;
 use self::clothes::{Dress, dress};
 pub use self::filming::Filming;
+pub use self::kept::KeptClips;
 use self::keypoints::detect;
 use self::motion::{novel_poses, turn};
 use self::paint::Paint;
 use self::skirt::{Skirt, sew};
 use self::write::{FolderWriter, NovelEntry};
 use crate::avatar::{Picture, Pose, Shading, Tracer, VideoError, vertex_normals};
-use crate::body::Body;
+use crate::body::{Body, BodyError};
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
 use crate::npz::NpzError;
@@ -79,6 +81,8 @@ impl Default for SynthOptions {
 pub enum SynthError {
     #[error("{0}")]
     Options(String),
+    #[error("{}: {source}; import a body first (`make body`)", path.display())]
+    Body { path: PathBuf, source: BodyError },
     #[error(transparent)]
     Gpu(#[from] GpuError),
     #[error(transparent)]
