@@ -6,6 +6,7 @@
 struct Params {
     n_faces: u32,
     ratio_min: f32,
+    least_rest: f32,
     weight: f32,
 }
 
@@ -22,7 +23,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     }
     let n = vec3<f32>(normals[3u * f], normals[3u * f + 1u], normals[3u * f + 2u]);
     let rest = length(vec3<f32>(rest_normals[3u * f], rest_normals[3u * f + 1u], rest_normals[3u * f + 2u]));
-    if rest <= 1e-12 {
+    if rest <= params.least_rest {
         return;
     }
     let grad = (params.weight * ratio_slope(length(n) / rest, params.ratio_min) / rest) * unit_or_zero(n);

@@ -5,6 +5,7 @@
 struct Params {
     n_faces: u32,
     ratio_min: f32,
+    least_rest: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -20,7 +21,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     }
     let norm = length(vec3<f32>(normals[3u * f], normals[3u * f + 1u], normals[3u * f + 2u]));
     let rest = length(vec3<f32>(rest_normals[3u * f], rest_normals[3u * f + 1u], rest_normals[3u * f + 2u]));
-    if rest <= 1e-12 {
+    if rest <= params.least_rest {
         values[f] = 0.0;
         return;
     }

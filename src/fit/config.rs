@@ -128,6 +128,8 @@ pub struct FitConfig {
     pub fill_unseen: bool,
     /// Whether cloth from leg to leg is looked for in the end, filled and carried by both legs ([`super::skirt`]).
     pub skirts: bool,
+    /// Whether the body loses toes and ears that shoes and hair cover ([`super::covered`]).
+    pub covered: bool,
     pub rates: Rates,
     /// Stage 1, with one colour a face.
     pub geometry: StageConfig,
@@ -184,6 +186,7 @@ impl FitConfig {
             light: true,
             fill_unseen: true,
             skirts: true,
+            covered: true,
             rates: Rates {
                 betas: 1e-2,
                 pose: 4e-3,
@@ -208,6 +211,7 @@ impl FitConfig {
             (weights.rgb, weights.rgb_soft) = (0.0, 0.0);
         }
         config.texture.weights.rgb = 1.0;
+        config.covered = false;
         config.texture.phases.iter_mut().for_each(|phase| phase.pose_rate = 0.0);
         config
     }
@@ -257,7 +261,7 @@ impl FitConfig {
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
         config.fill_unseen = false;
-        config.skirts = false;
+        (config.skirts, config.covered) = (false, false);
         config.min_steps_a_pass = 1;
         config.rates.offsets = DIRECT_OFFSET_RATE;
         config.frame_sampling = FrameSampling::Uniform;

@@ -3,6 +3,7 @@
 
 pub mod config;
 mod control;
+pub mod covered;
 mod frame_step;
 mod frames;
 mod groups;

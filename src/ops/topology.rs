@@ -89,6 +89,16 @@ impl Topology {
     }
 }
 
+impl Topology {
+    /// The same mesh, with pairs of those faces alone for which `counts` holds.
+    pub fn with_pairs_of(&self, counts: impl Fn(u32) -> bool) -> Self {
+        let mut kept = self.clone();
+        kept.face_pairs.retain(|pair| pair.iter().all(|&f| counts(f)));
+        kept.face_neighbours = face_neighbours(self.face_neighbours.len(), &kept.face_pairs);
+        kept
+    }
+}
+
 fn face_neighbours(n_faces: usize, face_pairs: &[[u32; 2]]) -> Rows {
     let mut lists = vec![Vec::new(); n_faces];
     for &[f, g] in face_pairs {
@@ -111,6 +121,15 @@ mod tests {
         assert_eq!(t.face_neighbours, Rows { starts: vec![0, 1, 2], items: vec![1, 0] });
         assert_eq!(t.corners.iter().collect::<Vec<_>>(), [&[0][..], &[1, 4], &[2, 3], &[5], &[]]);
         assert_eq!(t.neighbours.iter().collect::<Vec<_>>(), [&[1, 2][..], &[0, 2, 3], &[0, 1, 3], &[1, 2], &[]]);
+    }
+
+    #[test]
+    fn pairs_of_faces_that_do_not_count_are_left_out() {
+        let t = Topology::new(5, &[[0, 1, 2], [2, 1, 3], [3, 1, 4]]);
+        let kept = t.with_pairs_of(|f| f != 0);
+        assert_eq!(kept.face_pairs, [[1, 2]]);
+        assert_eq!(kept.face_neighbours, Rows { starts: vec![0, 0, 1, 2], items: vec![2, 1] });
+        assert_eq!((kept.edges, kept.corners), (t.edges, t.corners));
     }
 
     #[test]

@@ -12,16 +12,22 @@ fn cost<T: Real>(r: T) -> (T, T) {
     (clamped + T::one() / clamped + slope * (r - clamped), slope)
 }
 
-pub fn forward<T: Real>(normals: &[Vector<T>], rest_normals: &[Vector<T>]) -> T {
+pub fn forward<T: Real>(normals: &[Vector<T>], rest_normals: &[Vector<T>], least_rest: T) -> T {
     let pairs = normals.iter().zip(rest_normals).map(|(&n, &rest)| (unit_or_zero(n).1, unit_or_zero(rest).1));
-    pairs.filter(|&(_, rest)| rest > T::zero()).map(|(norm, rest)| cost(norm / rest).0).sum()
+    pairs.filter(|&(_, rest)| rest > least_rest).map(|(norm, rest)| cost(norm / rest).0).sum()
 }
 
 /// Adds λ times the gradient to `grad_normals`.
-pub fn backward<T: Real>(normals: &[Vector<T>], rest_normals: &[Vector<T>], weight: T, grad_normals: &mut [Vector<T>]) {
+pub fn backward<T: Real>(
+    normals: &[Vector<T>],
+    rest_normals: &[Vector<T>],
+    least_rest: T,
+    weight: T,
+    grad_normals: &mut [Vector<T>],
+) {
     for (f, (&n, &rest)) in normals.iter().zip(rest_normals).enumerate() {
         let ((unit, norm), (_, rest)) = (unit_or_zero(n), unit_or_zero(rest));
-        if rest > T::zero() {
+        if rest > least_rest {
             accumulate(&mut grad_normals[f], scale(weight * cost(norm / rest).1 / rest, unit));
         }
     }

@@ -11,8 +11,8 @@ use crate::ops::reduce::{LossSlot, Sum};
 struct Params {
     n_faces: u32,
     ratio_min: f32,
+    least_rest: f32,
     weight: f32,
-    unused: u32,
 }
 
 /// The loss of a mesh with `n_faces` faces.
@@ -21,16 +21,20 @@ pub struct FaceArea {
     backward: Arc<Kernel>,
     sum: Sum,
     n_faces: usize,
+    least_rest: f32,
     values: Buffer<f32>,
 }
 
 impl FaceArea {
-    pub fn new(gpu: &Gpu, n_faces: usize) -> Self {
+    /// Faces whose undeformed normal is not longer than `least_rest`, twice their area, do not count.
+    pub fn new(gpu: &Gpu, n_faces: usize, least_rest: f32) -> Self {
         Self {
             forward: kernel!(gpu, "face_area/forward"),
             backward: kernel!(gpu, "face_area/backward"),
             sum: Sum::new(gpu),
             n_faces,
+            // In f32 a collapsed face has a length, too.
+            least_rest: least_rest.max(1e-12),
             values: gpu.zeros("face_area/values", n_faces),
         }
     }
@@ -65,7 +69,7 @@ impl FaceArea {
     }
 
     fn params(&self, weight: f32) -> Params {
-        Params { n_faces: self.n_faces as u32, ratio_min: RATIO_MIN as f32, weight, unused: 0 }
+        Params { n_faces: self.n_faces as u32, ratio_min: RATIO_MIN as f32, least_rest: self.least_rest, weight }
     }
 
     fn check(&self, normals: &Buffer<f32>, rest_normals: &Buffer<f32>) {

@@ -9,8 +9,9 @@
 //! | `rest_normals` | `[F, 3]` | unnormalised, of `v_shaped` |
 //! | `grad_normals` | `[F, 3]` | `+= λ (1 − 1/r²) n̂ / |n′|`, `r = A/A′` |
 //!
-//! Below [`RATIO_MIN`] the cost of a face goes on as a straight line, so that a collapsed face stays finite. A face
-//! without area in the undeformed mesh does not count.
+//! Below [`RATIO_MIN`] the cost of a face goes on as a straight line, so that a collapsed face stays finite. A face whose
+//! `|n′|` is not above `least_rest` does not count: one without area has no ratio, and a tiny one has a gradient that grows as
+//! it shrinks.
 
 pub mod cpu;
 mod gpu;

@@ -11,21 +11,33 @@ const REST: [f64; 12] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.1, 0.0, 1.0, 0.2, 1.2, 0.9, 
 
 fn loss(faces: &[[u32; 3]], rest: &[Vector<f64>], vertices: &[Vector<f64>]) -> f64 {
     let normals = |x| face_normals::cpu::forward(faces, x);
-    cpu::forward(&normals(vertices), &normals(rest))
+    cpu::forward(&normals(vertices), &normals(rest), 0.0)
 }
 
 fn gradient(faces: &[[u32; 3]], rest: &[Vector<f64>], vertices: &[Vector<f64>], weight: f64) -> Vec<Vector<f64>> {
     let normals = |x| face_normals::cpu::forward(faces, x);
     let (mut grad_normals, mut grads) = (vec![[0.0; 3]; faces.len()], vec![[0.0; 3]; vertices.len()]);
-    cpu::backward(&normals(vertices), &normals(rest), weight, &mut grad_normals);
+    cpu::backward(&normals(vertices), &normals(rest), 0.0, weight, &mut grad_normals);
     face_normals::cpu::backward(faces, vertices, &grad_normals, &mut grads);
     grads
 }
 
 /// Loss and gradient by the vertices on the device; the slot starts at 1.
 fn on_gpu(gpu: &Gpu, faces: &[[u32; 3]], rest: &[f64], vertices: &[f64], weight: f32) -> (f64, Vec<f32>) {
+    of_large_faces(gpu, faces, rest, vertices, weight, 0.0)
+}
+
+/// The same of faces with a normal longer than `least_rest`.
+fn of_large_faces(
+    gpu: &Gpu,
+    faces: &[[u32; 3]],
+    rest: &[f64],
+    vertices: &[f64],
+    weight: f32,
+    least_rest: f32,
+) -> (f64, Vec<f32>) {
     let topology = Topology::new(vertices.len() / 3, faces);
-    let (op, face_normals) = (FaceArea::new(gpu, faces.len()), FaceNormals::new(gpu, faces, &topology));
+    let (op, face_normals) = (FaceArea::new(gpu, faces.len(), least_rest), FaceNormals::new(gpu, faces, &topology));
     let [normals, rest_normals, grad_normals] =
         ["normals", "rest_normals", "grad_normals"].map(|name| face_normals.normals(gpu, name));
     let (losses, grads) = (gpu.upload("losses", &[1.0f32]), gpu.zeros("grad_vertices", vertices.len()));
@@ -97,6 +109,29 @@ fn faces_without_area_are_finite() {
     assert_close("collapsed", &[value], &[2.0 + at_zero], VALUE);
     assert!(grad.iter().all(|g| g.is_finite()));
     assert_eq!(on_gpu(&gpu, &FACES, &collapsed, &REST, 1.0), (2.0, vec![0.0; 12]));
+}
+
+#[test]
+fn small_faces_do_not_count() {
+    // Face 1 is a tenth as large as face 0, and both are stretched.
+    let mut rest = REST;
+    rest[9..].copy_from_slice(&[0.55, 0.6, 0.15]);
+    let stretched = rest.map(|x| 1.1 * x);
+    let (of_rest, of_stretched) = (points(&rest), points(&stretched));
+    let normals = |x: &[Vector<f64>]| face_normals::cpu::forward(&FACES, x);
+    let least = 0.5;
+    let alone = loss(&FACES[..1], &of_rest, &of_stretched);
+    let large = cpu::forward(&normals(&of_stretched), &normals(&of_rest), least);
+    assert_close("loss", &[large], &[alone], 1e-12);
+    assert!(loss(&FACES, &of_rest, &of_stretched) > 1.9 * alone);
+    let mut grad_normals = [[0.0; 3]; 2];
+    cpu::backward(&normals(&of_stretched), &normals(&of_rest), least, 1.0, &mut grad_normals);
+    assert!(grad_normals[0] != [0.0; 3] && grad_normals[1] == [0.0; 3], "{grad_normals:?}");
+    let Some(gpu) = gpu("face_area::small_faces_do_not_count") else { return };
+    let (value, grad) = of_large_faces(&gpu, &FACES, &rest, &stretched, 1.0, least as f32);
+    assert_close("loss", &[value], &[alone], VALUE);
+    let expected = gradient(&FACES[..1], &of_rest, &of_stretched, 1.0);
+    assert_close("grad", &grad, expected.as_flattened(), GRADIENT);
 }
 
 #[test]

@@ -12,6 +12,7 @@ use super::{Observer, Outcome, PipelineError, PipelineInput, Preview, Progress, 
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureOptions, Frame};
+use crate::fit::covered::Covered;
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, Stage0Error, Stage0Options, Stage0Result};
 use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
@@ -55,6 +56,9 @@ pub fn run(
     let start = solve_poses(&body, &capture, &input.options, &mut monitor)?;
     let focal_ratio = focal_ratio(&body, &capture, &mut monitor);
     start.reread(&mut capture);
+    if config.covered {
+        Covered::find(&body, &capture, &start).even_out(&mut body, &start.betas);
+    }
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
     let state = resumed(fresh, &checkpoint);

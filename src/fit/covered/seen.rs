@@ -1,0 +1,138 @@
+//! The colours of face, toes and ears in a clip.
+
+use glam::{DMat3, DVec3, Vec3};
+
+use super::{FEET, Head, OF_TOES};
+use crate::body::Body;
+use crate::camera::Camera;
+use crate::capture::{Capture, Frame};
+use crate::fit::stage0::Stage0Result;
+use crate::ops::skinning::cpu::forward;
+
+/// Frames that tell enough.
+const FRAMES: usize = 40;
+/// Cosine between where a part looks and the camera from which on it is seen.
+const FACING: f32 = 0.6;
+/// How far round the nose a face reaches, and round its landmark an ear, of the distance between the ears.
+const FACE_REACH: f32 = 0.2;
+const EAR_REACH: f32 = 0.17;
+/// A colour is no skin where its luma is less than this part of the face's or more than its inverse, or where the shares of red,
+/// green and blue differ by this much.
+const DARKER: f32 = 0.6;
+const OTHER_HUE: f32 = 0.06;
+
+/// Medians, sRGB in 0..1, of what faces the camera; `None` of what never does.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Colours {
+    pub(super) face: Option<[f32; 3]>,
+    pub(super) toes: Option<[f32; 3]>,
+    pub(super) ears: Option<[f32; 3]>,
+}
+
+pub(super) fn colours(body: &Body, capture: &Capture, start: &Stage0Result, head: &Head) -> Colours {
+    let shaped: Vec<Vec3> = body.shaped_vertices(&start.betas).into_iter().map(Vec3::from).collect();
+    let near = |place: Vec3, reach: f32| -> Vec<usize> {
+        (0..shaped.len()).filter(|&v| shaped[v].distance(place) < reach * head.width()).collect()
+    };
+    let face = near(head.nose, FACE_REACH);
+    let ears = head.ears.map(|ear| near(ear, EAR_REACH));
+    let toes = FEET.map(|[_, foot]| -> Vec<usize> {
+        (0..shaped.len()).filter(|&v| body.weight_of(v, |j| j as usize == foot) > OF_TOES).collect()
+    });
+    let (all, kept) = (capture.frames.len(), capture.frames.len().min(FRAMES));
+    let mut samples: [Vec<[u8; 3]>; 3] = Default::default();
+    for i in (0..kept).map(|k| k * all / kept) {
+        let view = View::new(&start.camera, &capture.frames[i]);
+        let posed = forward(body, &start.betas, None, &start.poses[i], start.transl[i]);
+        let place = |v: usize| Vec3::from(posed.vertices[v]);
+        let mean = |vertices: &[usize]| vertices.iter().map(|&v| place(v)).sum::<Vec3>() / vertices.len().max(1) as f32;
+        let mut look = |part: usize, vertices: &[usize], at: Vec3, to: Vec3| {
+            if view.faces(at, to) {
+                samples[part].extend(vertices.iter().filter_map(|&v| view.colour(place(v))));
+            }
+        };
+        let [left, right] = head.ear_vertices.map(place);
+        let nose = mean(&face);
+        look(0, &face, nose, nose - left.midpoint(right));
+        for (side, [ankle, foot]) in FEET.into_iter().enumerate() {
+            let [ankle, foot] = [ankle, foot].map(|joint| Vec3::from(posed.joints[joint]));
+            look(1, &toes[side], foot, foot - ankle);
+        }
+        look(2, &ears[0], left, left - right);
+        look(2, &ears[1], right, right - left);
+    }
+    let [face, toes, ears] = samples.map(median);
+    Colours { face, toes, ears }
+}
+
+/// Whether a part's colour is another one than the face's in any light that falls on both.
+pub(super) fn is_other_than_skin(part: [f32; 3], face: [f32; 3]) -> bool {
+    let luma = |[r, g, b]: [f32; 3]| (0.3 * r + 0.59 * g + 0.11 * b).max(1e-3);
+    let share = |c: [f32; 3]| Vec3::from(c) / c.iter().sum::<f32>().max(1e-3);
+    let brightness = luma(part) / luma(face);
+    !(DARKER..1.0 / DARKER).contains(&brightness) || share(part).distance(share(face)) > OTHER_HUE
+}
+
+fn median(mut samples: Vec<[u8; 3]>) -> Option<[f32; 3]> {
+    let middle = samples.len().checked_sub(1)? / 2;
+    Some(std::array::from_fn(|channel| {
+        samples.sort_unstable_by_key(|colour| colour[channel]);
+        f32::from(samples[middle][channel]) / 255.0
+    }))
+}
+
+/// A frame and where its camera stands.
+struct View<'a> {
+    frame: &'a Frame,
+    camera: &'a Camera,
+    /// `x_cam = rotation x_world + translation`
+    rotation: DMat3,
+    translation: DVec3,
+}
+
+impl<'a> View<'a> {
+    fn new(camera: &'a Camera, frame: &'a Frame) -> Self {
+        let rotation = DMat3::from_cols_array(&camera.rotation).transpose();
+        Self { frame, camera, rotation, translation: camera.translation.into() }
+    }
+
+    fn faces(&self, at: Vec3, to: Vec3) -> bool {
+        let camera = (self.rotation.transpose() * -self.translation).as_vec3();
+        (camera - at).normalize_or_zero().dot(to.normalize_or_zero()) > FACING
+    }
+
+    /// The pixel at a place, if it is the person's.
+    fn colour(&self, place: Vec3) -> Option<[u8; 3]> {
+        let p = self.rotation * place.as_dvec3() + self.translation;
+        let x = (self.camera.fx * p.x / p.z + self.camera.cx).floor() - f64::from(self.frame.x0);
+        let y = (self.camera.fy * p.y / p.z + self.camera.cy).floor() - f64::from(self.frame.y0);
+        let within =
+            (0.0..f64::from(self.frame.width)).contains(&x) && (0.0..f64::from(self.frame.height)).contains(&y);
+        let pixel = (within && p.z > 0.0).then(|| y as usize * self.frame.width as usize + x as usize)?;
+        let inside = *self.frame.mask.get(pixel)? >= 128;
+        let colour = self.frame.rgb.get(3 * pixel..)?.first_chunk::<3>()?;
+        inside.then_some(*colour)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shoes_and_hair_are_told_from_skin_in_shade() {
+        let skin = [0.80, 0.62, 0.53];
+        for bare in [skin, skin.map(|c| 0.7 * c), skin.map(|c| 1.2 * c), [0.82, 0.60, 0.55]] {
+            assert!(!is_other_than_skin(bare, skin), "{bare:?}");
+        }
+        for cover in [[0.1, 0.1, 0.1], [0.35, 0.25, 0.18], [0.95, 0.95, 0.95], [0.5, 0.5, 0.8], [0.3, 0.3, 0.32]] {
+            assert!(is_other_than_skin(cover, skin), "{cover:?}");
+        }
+    }
+
+    #[test]
+    fn the_median_is_of_each_channel_and_none_of_nothing() {
+        assert_eq!(median(vec![[0, 255, 51], [255, 0, 51], [51, 51, 51]]), Some([0.2, 0.2, 0.2]));
+        assert_eq!(median(Vec::new()), None);
+    }
+}
