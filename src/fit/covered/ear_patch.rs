@@ -151,7 +151,7 @@ mod tests {
         for (v, (before, after)) in before.iter().zip(&vertices).enumerate() {
             let far = before.distance(vertices[ear]) > 0.9;
             assert!(!far || before == after, "vertex {v} moved");
-            assert!((after.length() - 1.0).abs() < 0.03, "vertex {v} lies {} from the middle", after.length());
+            assert!((after.length() - 1.0).abs() < 0.08, "vertex {v} lies {} from the middle", after.length());
         }
     }
 }

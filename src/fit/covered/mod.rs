@@ -91,3 +91,135 @@ impl Head {
         self.ears[0].distance(self.ears[1])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Camera;
+    use crate::capture::Frame;
+    use crate::fit::stage0::Stage0Report;
+    use crate::ops::Topology;
+    use crate::ops::skinning::cpu::forward;
+
+    const SKIN: [u8; 3] = [200, 155, 130];
+    const SIDE: u32 = 160;
+
+    /// A body that turns once in eight frames before a camera.
+    fn turning(body: &Body) -> Stage0Result {
+        let pose = |k: usize| {
+            let mut pose = [0.0; 72];
+            // Upright in a world whose y runs down, facing the camera first: half a turn about x, then the turn.
+            let turn = glam::Quat::from_rotation_x(std::f32::consts::PI)
+                * glam::Quat::from_rotation_y(std::f32::consts::TAU * k as f32 / 8.0);
+            let root: [f32; 3] = turn.to_scaled_axis().into();
+            pose[..3].copy_from_slice(&root);
+            pose
+        };
+        Stage0Result {
+            betas: vec![0.0; body.n_betas],
+            poses: (0..8).map(pose).collect(),
+            transl: vec![[0.0, 0.0, 3.0]; 8],
+            camera: Camera::pinhole(SIDE, SIDE, [200.0, 200.0, 80.0, 80.0]),
+            keypoints: Vec::new(),
+            report: Stage0Report::default(),
+        }
+    }
+
+    /// Each vertex as a dot of its colour, the far ones first.
+    fn filmed(body: &Body, start: &Stage0Result, colour: impl Fn(usize) -> [u8; 3]) -> Capture {
+        let frame = |k: usize| {
+            let n = (SIDE * SIDE) as usize;
+            let (mut rgb, mut mask) = (vec![0; 3 * n], vec![0; n]);
+            let posed = forward(body, &start.betas, None, &start.poses[k], start.transl[k]);
+            let mut order: Vec<usize> = (0..body.n_vertices()).collect();
+            order.sort_by(|&a, &b| posed.vertices[b][2].total_cmp(&posed.vertices[a][2]));
+            for v in order {
+                let [x, y, z] = posed.vertices[v];
+                let at = [x, y].map(|c| (200.0 * c / z + 80.0) as usize);
+                for (dx, dy) in (0..9).map(|i| (i % 3, i / 3)) {
+                    let pixel = (at[1] + dy - 1) * SIDE as usize + at[0] + dx - 1;
+                    rgb[3 * pixel..][..3].copy_from_slice(&colour(v));
+                    mask[pixel] = 255;
+                }
+            }
+            let (width, height) = (SIDE, SIDE);
+            Frame { index: k as u32, x0: 0, y0: 0, width, height, rgb, mask, keypoints: Vec::new() }
+        };
+        Capture {
+            camera: start.camera.clone(),
+            camera_estimated: false,
+            fps: 30.0,
+            frames: (0..8).map(frame).collect(),
+            keypoint_format: "coco17".to_owned(),
+            poses: None,
+            warnings: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn what_is_covered_is_told_by_its_colour() {
+        let body = Body::test_body();
+        let start = turning(&body);
+        let of_feet = |v: usize| body.weight_of(v, |j| [7, 8, 10, 11].contains(&j)) > 0.5;
+        let head = Head::of(&body, &start.betas).unwrap();
+        let near_an_ear =
+            |v: usize| head.ears.iter().any(|ear| ear.distance(body.v_template[v].into()) < 0.3 * head.width());
+        let found = |colour: &dyn Fn(usize) -> [u8; 3]| Covered::find(&body, &filmed(&body, &start, colour), &start);
+        assert_eq!(found(&|_| SKIN), Covered::default());
+        let shoes = |v: usize| if of_feet(v) { [40, 40, 45] } else { SKIN };
+        assert_eq!(found(&shoes), Covered { toes: true, ears: false });
+        let hair = |v: usize| if near_an_ear(v) { [70, 50, 35] } else { SKIN };
+        assert_eq!(found(&hair), Covered { toes: false, ears: true });
+    }
+
+    #[test]
+    fn only_toes_move_and_both_sides_alike() {
+        let body = Body::test_body();
+        let betas = vec![0.3; body.n_betas];
+        let moved = |covered: Covered| {
+            let mut even = body.clone();
+            covered.even_out(&mut even, &betas);
+            even.check().unwrap();
+            let far = |v: usize| Vec3::from(even.v_template[v]).distance(body.v_template[v].into());
+            let rows: Vec<(usize, f32)> = (0..body.n_vertices()).map(|v| (v, far(v))).filter(|m| m.1 > 1e-5).collect();
+            for &(v, _) in &rows {
+                let [left, right] = [v, body.mirror[v] as usize].map(|v| Vec3::from(even.v_template[v]));
+                let apart = left.distance(right * Vec3::new(-1.0, 1.0, 1.0));
+                assert!(apart < 5e-3, "vertex {v} and its mirror image lie {apart} m apart");
+            }
+            rows
+        };
+        assert!(moved(Covered::default()).is_empty());
+        let toes = moved(Covered { toes: true, ears: false });
+        assert!(!toes.is_empty());
+        for (v, far) in toes {
+            assert!(body.weight_of(v, |j| j == 10 || j == 11) > 0.0 && far < 0.05, "vertex {v} moved by {far} m");
+        }
+    }
+
+    #[test]
+    fn a_cap_has_no_gaps_and_is_as_long_as_the_toes() {
+        let body = Body::test_body();
+        let mut even = body.clone();
+        // A deep fold across the toes of the left foot.
+        let toes: Vec<usize> = (0..body.n_vertices()).filter(|&v| body.weight_of(v, |j| j == 10) > 0.9).collect();
+        let middle = body.j_template[10][0];
+        for &v in toes.iter().filter(|&&v| (body.v_template[v][0] - middle).abs() < 0.015) {
+            even.v_template[v][2] -= 0.03;
+        }
+        let front = |body: &Body| toes.iter().map(|&v| body.v_template[v][2]).fold(f32::MIN, f32::max);
+        let relief = |body: &Body| {
+            let topology = Topology::new(body.n_vertices(), &body.faces);
+            let bent = toes.iter().map(|&v| {
+                let around = topology.neighbours.row(v);
+                let mean = around.iter().map(|&n| Vec3::from(body.v_template[n as usize])).sum::<Vec3>();
+                (mean / around.len() as f32).distance(body.v_template[v].into())
+            });
+            bent.fold(0.0, f32::max)
+        };
+        let (folded, length) = (relief(&even), front(&even));
+        Covered { toes: true, ears: false }.even_out(&mut even, &vec![0.0; body.n_betas]);
+        assert!(relief(&even) < 0.6 * folded, "{} of {folded} m", relief(&even));
+        assert!((front(&even) - length).abs() < 0.01, "{} instead of {length} m", front(&even));
+    }
+}
