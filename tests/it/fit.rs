@@ -109,7 +109,9 @@ fn a_clip_becomes_an_avatar_that_looks_like_the_person() {
         assert!(folder.path().join("out").join(file).metadata().unwrap().len() > 100, "{file}");
     }
     let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
-    let quality = serde_json::from_slice::<serde_json::Value>(&report).unwrap()["quality"].take();
+    let mut report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    assert_eq!(report["covered"], serde_json::json!({ "toes": true, "ears": false }), "shoes and short hair");
+    let quality = report["quality"].take();
     let codes: Vec<&str> = quality["flags"].as_array().unwrap().iter().map(|f| f["code"].as_str().unwrap()).collect();
     assert!(codes.starts_with(&["few_frames", "low_resolution"]), "12 frames of 96 pixels: {codes:?}");
     assert!(!codes.contains(&"no_full_turn") && !codes.contains(&"focal_estimated"), "{codes:?}");

@@ -21,7 +21,7 @@ const NOSE: usize = 0;
 const EARS: [usize; 2] = [3, 4];
 
 /// What of a body something covers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Covered {
     pub toes: bool,
     pub ears: bool,
@@ -57,7 +57,7 @@ impl Covered {
             }
         }
         for (template, (even, shaped)) in body.v_template.iter_mut().zip(even.iter().zip(&shaped)) {
-            *template = (Vec3::from(*template) + *even - *shaped).into();
+            *template = (Vec3::from(*template) + (*even - *shaped)).into();
         }
     }
 }

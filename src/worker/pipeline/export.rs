@@ -13,6 +13,7 @@ use super::{Outcome, PipelineError, PipelineInput, Stage};
 use crate::avatar::{AvatarModel, Renderer};
 use crate::body::Body;
 use crate::capture::Capture;
+use crate::fit::covered::Covered;
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::Stage0Result;
 use crate::fit::{FitConfig, FitState};
@@ -30,6 +31,7 @@ pub(super) struct Fitted {
     pub start: Stage0Result,
     pub state: FitState,
     /// What the person wears, where it hangs from leg to leg; `body` and `state` carry it.
+    pub covered: Covered,
     pub skirt: Option<Skirt>,
     pub config: FitConfig,
 }
@@ -136,6 +138,7 @@ fn report(
             "swapped_frames": fitted.start.report.swapped,
             "notes": fitted.start.report.notes,
         },
+        "covered": fitted.covered,
         "quality": quality,
         "warnings": fitted.capture.warnings,
         "camera": fitted.start.camera,

@@ -56,9 +56,8 @@ pub fn run(
     let start = solve_poses(&body, &capture, &input.options, &mut monitor)?;
     let focal_ratio = focal_ratio(&body, &capture, &mut monitor);
     start.reread(&mut capture);
-    if config.covered {
-        Covered::find(&body, &capture, &start).even_out(&mut body, &start.betas);
-    }
+    let covered = if config.covered { Covered::find(&body, &capture, &start) } else { Covered::default() };
+    covered.even_out(&mut body, &start.betas);
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
     let state = resumed(fresh, &checkpoint);
@@ -83,7 +82,7 @@ pub fn run(
         let fitted = fit::run(gpu, &body, &capture, &start.camera, &alone, state_before, &tailored, &mut monitor);
         state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     }
-    let done = export::Fitted { body, capture, measures, focal_ratio, start, state, skirt, config };
+    let done = export::Fitted { body, capture, measures, focal_ratio, start, state, covered, skirt, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)
 }
 
