@@ -5,6 +5,7 @@ use std::f32::consts::PI;
 use glam::Vec3;
 
 use crate::body::Body;
+use crate::fit::smooth;
 use crate::ops::Topology;
 
 /// Part of a vertex' weight from which on it goes all the way.
@@ -84,11 +85,6 @@ fn directions(n: usize) -> impl Iterator<Item = Vec3> {
         let across = (1.0 - y * y).sqrt();
         Vec3::new(across * angle.cos(), y, across * angle.sin())
     })
-}
-
-fn smooth(t: f32) -> f32 {
-    let t = t.clamp(0.0, 1.0);
-    t * t * (3.0 - 2.0 * t)
 }
 
 #[cfg(test)]

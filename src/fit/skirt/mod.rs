@@ -10,6 +10,7 @@ use glam::Vec3;
 
 use self::outline::Outline;
 use self::standing::Standing;
+use super::smooth;
 use super::state::FitState;
 use crate::body::{Body, N_INFLUENCES, N_JOINTS};
 use crate::ops::Topology;
@@ -212,11 +213,6 @@ fn nearest(outlines: &[(f32, Outline)], along: f32) -> Option<&Outline> {
 fn retain<T>(rows: &mut Vec<T>, stays: &[bool]) {
     let mut stays = stays.iter();
     rows.retain(|_| *stays.next().expect("a row for each"));
-}
-
-fn smooth(t: f32) -> f32 {
-    let t = t.clamp(0.0, 1.0);
-    t * t * (3.0 - 2.0 * t)
 }
 
 /// Numbers of vertices, each drawn towards its neighbours' mean; those that have none count as zero and stay.
