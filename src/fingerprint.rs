@@ -6,6 +6,8 @@ use std::sync::OnceLock;
 
 use sha2::{Digest, Sha256};
 
+use crate::data_dir::body_path;
+
 /// A digest that grows. Two are equal where the same things were added in the same order.
 #[derive(Clone, Debug)]
 pub struct Fingerprint(Sha256);
@@ -42,6 +44,15 @@ impl Fingerprint {
         self.0.update(file.metadata()?.len().to_le_bytes());
         add(&mut self.0, &mut file)?;
         Ok(self)
+    }
+
+    /// A body of the data folder. The built-in one has no file: it is the program's.
+    ///
+    /// # Errors
+    /// Where the body's file is there and cannot be read.
+    pub fn with_body(self, name: &str) -> io::Result<Self> {
+        let path = body_path(name);
+        if path.is_file() { self.with_file(&path) } else { Ok(self) }
     }
 
     /// The names and contents of a folder's own files, not of folders in it.

@@ -43,7 +43,7 @@ pub struct Args {
     frames: usize,
     #[arg(long, default_value_t = 360)]
     size: u32,
-    /// Folder for what is in between; a case whose result lies there is not run again [default: `robustness` in the data
+    /// Folder for what is in between; a case whose result lies there, of the same program, clip and body, is not run again [default: `robustness` in the data
     /// folder].
     #[arg(long)]
     work: Option<PathBuf>,

@@ -87,9 +87,7 @@ impl Topology {
             neighbours: Rows::from_lists(&neighbours),
         }
     }
-}
 
-impl Topology {
     /// The same mesh, with pairs of those faces alone for which `counts` holds.
     pub fn with_pairs_of(&self, counts: impl Fn(u32) -> bool) -> Self {
         let mut kept = self.clone();

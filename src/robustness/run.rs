@@ -14,7 +14,6 @@ use serde::{Deserialize, Serialize};
 use super::cases::Case;
 use super::footage::Footage;
 use crate::avatar::{AvatarModel, Renderer};
-use crate::data_dir::body_path;
 use crate::eval::{EvalOptions, ImageFigures, Subject, evaluate};
 use crate::fingerprint::Fingerprint;
 use crate::gpu::Gpu;
@@ -25,7 +24,7 @@ use crate::page::{shrunk, strip};
 pub struct Settings {
     /// The clean clip with its truth.
     pub clip: PathBuf,
-    /// Clips, avatars and results; a case whose result is there is not run again.
+    /// Clips, avatars and results; a case whose result is there, of the same things, is not run again.
     pub work: PathBuf,
     /// This program.
     pub effigy: PathBuf,
@@ -129,11 +128,10 @@ fn made_of(settings: &Settings) -> Result<String> {
     let Settings { preset, body, max_frames, seed, truths, .. } = settings;
     let made_of = Fingerprint::of_program()?
         .with_text(&format!("{preset} {body} {max_frames:?} {seed} {truths}"))
+        .with_body(body)?
         .with_files_of(&settings.clip)
         .with_context(|| settings.clip.display().to_string())?;
-    let body = body_path(body);
-    // Without a file it is the built-in body, which is the program's.
-    Ok(if body.is_file() { made_of.with_file(&body)? } else { made_of }.digits())
+    Ok(made_of.digits())
 }
 
 /// A process of its own: a fit that crashes takes nothing along.

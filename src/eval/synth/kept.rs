@@ -36,11 +36,8 @@ impl KeptClips<'_> {
     /// # Errors
     /// As [`synthesise`], and where the folder cannot be written.
     pub fn clip(&self, options: &SynthOptions) -> Result<PathBuf, SynthError> {
-        let made_of = Fingerprint::of_program()?.with_text(&serde_json::to_string(options)?);
-        let made_of = match self.body {
-            "test" => made_of,
-            name => made_of.with_file(&body_path(name))?,
-        };
+        let options_text = serde_json::to_string(options)?;
+        let made_of = Fingerprint::of_program()?.with_text(&options_text).with_body(self.body)?;
         let SynthOptions { frames, size_px, .. } = options;
         let name = format!("clip-{}-{frames}x{size_px}-{}", self.body, made_of.digits());
         let clip = self.folder.join(&name);
@@ -82,8 +79,11 @@ mod tests {
     #[test]
     fn a_body_that_is_missing_is_named() {
         let Some(gpu) = gpu("synth::a_body_that_is_missing_is_named") else { return };
-        let clips = KeptClips { gpu: &gpu, body: "nobody", folder: Path::new(".") };
-        let error = clips.load_body().unwrap_err().to_string();
-        assert!(error.contains("nobody") && error.contains("make body"), "{error}");
+        let folder = tempfile::tempdir().unwrap();
+        let clips = KeptClips { gpu: &gpu, body: "nobody", folder: folder.path() };
+        for error in [clips.load_body().unwrap_err(), clips.clip(&SynthOptions::default()).unwrap_err()] {
+            let error = error.to_string();
+            assert!(error.contains("nobody") && error.contains("make body"), "{error}");
+        }
     }
 }

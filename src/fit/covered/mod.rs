@@ -11,6 +11,7 @@ use glam::Vec3;
 use crate::body::{Body, KeypointSource};
 use crate::capture::Capture;
 use crate::fit::stage0::Stage0Result;
+use crate::ops::Topology;
 
 /// Ankle and foot: left, right.
 const FEET: [[usize; 2]; 2] = [[7, 10], [8, 11]];
@@ -45,21 +46,28 @@ impl Covered {
     pub fn even_out(&self, body: &mut Body, betas: &[f32]) {
         let shaped: Vec<Vec3> = body.shaped_vertices(betas).into_iter().map(Vec3::from).collect();
         let mut even = shaped.clone();
+        let topology = Topology::new(body.n_vertices(), &body.faces);
         if self.toes {
             let joints = body.shaped_joints(betas);
             for [ankle, foot] in FEET {
-                toe_cap::cap(&mut even, body, [ankle, foot], [joints[ankle].into(), joints[foot].into()]);
+                toe_cap::cap(&mut even, body, &topology, [ankle, foot], [joints[ankle].into(), joints[foot].into()]);
             }
         }
         if let Some(head) = Head::of(body, betas).filter(|_| self.ears) {
             for side in 0..2 {
-                ear_patch::patch(&mut even, body, head.ear_vertices[side], head.ears[1 - side]);
+                ear_patch::patch(&mut even, &body.faces, &topology, head.ear_vertices[side], head.ears[1 - side]);
             }
         }
         for (template, (even, shaped)) in body.v_template.iter_mut().zip(even.iter().zip(&shaped)) {
             *template = (Vec3::from(*template) + (*even - *shaped)).into();
         }
     }
+}
+
+/// The mean of a vertex' neighbours.
+fn mean_around(vertices: &[Vec3], topology: &Topology, v: usize) -> Vec3 {
+    let around = topology.neighbours.row(v);
+    around.iter().map(|&n| vertices[n as usize]).sum::<Vec3>() / around.len().max(1) as f32
 }
 
 /// Where a naked head's landmarks lie in the T-pose.
@@ -98,7 +106,6 @@ mod tests {
     use crate::camera::Camera;
     use crate::capture::Frame;
     use crate::fit::stage0::Stage0Report;
-    use crate::ops::Topology;
     use crate::ops::skinning::cpu::forward;
 
     const SKIN: [u8; 3] = [200, 155, 130];
@@ -210,12 +217,8 @@ mod tests {
         let front = |body: &Body| toes.iter().map(|&v| body.v_template[v][2]).fold(f32::MIN, f32::max);
         let relief = |body: &Body| {
             let topology = Topology::new(body.n_vertices(), &body.faces);
-            let bent = toes.iter().map(|&v| {
-                let around = topology.neighbours.row(v);
-                let mean = around.iter().map(|&n| Vec3::from(body.v_template[n as usize])).sum::<Vec3>();
-                (mean / around.len() as f32).distance(body.v_template[v].into())
-            });
-            bent.fold(0.0, f32::max)
+            let vertices: Vec<Vec3> = body.v_template.iter().map(|&v| v.into()).collect();
+            toes.iter().map(|&v| mean_around(&vertices, &topology, v).distance(vertices[v])).fold(0.0, f32::max)
         };
         let (folded, length) = (relief(&even), front(&even));
         Covered { toes: true, ears: false }.even_out(&mut even, &vec![0.0; body.n_betas]);

@@ -1,12 +1,12 @@
 //! The colours of face, toes and ears in a clip.
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::Vec3;
 
 use super::{FEET, Head, OF_TOES};
 use crate::body::Body;
-use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::fit::stage0::Stage0Result;
+use crate::ops::project::cpu::forward as project;
 use crate::ops::skinning::cpu::forward;
 
 /// Frames that tell enough.
@@ -42,21 +42,22 @@ pub(super) fn colours(body: &Body, capture: &Capture, start: &Stage0Result, head
     let (all, kept) = (capture.frames.len(), capture.frames.len().min(FRAMES));
     let mut samples: [Vec<[u8; 3]>; 3] = Default::default();
     for i in (0..kept).map(|k| k * all / kept) {
-        let view = View::new(&start.camera, &capture.frames[i]);
+        let frame = &capture.frames[i];
         let posed = forward(body, &start.betas, None, &start.poses[i], start.transl[i]);
-        let place = |v: usize| Vec3::from(posed.vertices[v]);
-        let mean = |vertices: &[usize]| vertices.iter().map(|&v| place(v)).sum::<Vec3>() / vertices.len().max(1) as f32;
+        let (view, screen) = project(&start.camera, &posed.vertices);
+        let joints = project(&start.camera, &posed.joints).0;
+        let place = |v: usize| Vec3::from(view[v]);
         let mut look = |part: usize, vertices: &[usize], at: Vec3, to: Vec3| {
-            if view.faces(at, to) {
-                samples[part].extend(vertices.iter().filter_map(|&v| view.colour(place(v))));
+            if faces_camera(at, to) {
+                samples[part].extend(vertices.iter().filter_map(|&v| colour(frame, screen[v])));
             }
         };
         let [left, right] = head.ear_vertices.map(place);
-        let nose = mean(&face);
+        let nose = face.iter().map(|&v| place(v)).sum::<Vec3>() / face.len().max(1) as f32;
         look(0, &face, nose, nose - left.midpoint(right));
-        for (side, [ankle, foot]) in FEET.into_iter().enumerate() {
-            let [ankle, foot] = [ankle, foot].map(|joint| Vec3::from(posed.joints[joint]));
-            look(1, &toes[side], foot, foot - ankle);
+        for (toes, feet) in toes.iter().zip(FEET) {
+            let [ankle, foot] = feet.map(|joint| Vec3::from(joints[joint]));
+            look(1, toes, foot, foot - ankle);
         }
         look(2, &ears[0], left, left - right);
         look(2, &ears[1], right, right - left);
@@ -81,38 +82,18 @@ fn median(mut samples: Vec<[u8; 3]>) -> Option<[f32; 3]> {
     }))
 }
 
-/// A frame and where its camera stands.
-struct View<'a> {
-    frame: &'a Frame,
-    camera: &'a Camera,
-    /// `x_cam = rotation x_world + translation`
-    rotation: DMat3,
-    translation: DVec3,
+/// Whether what lies at a place in view space and looks in a direction looks at the camera.
+fn faces_camera(at: Vec3, to: Vec3) -> bool {
+    (-at).normalize_or_zero().dot(to.normalize_or_zero()) > FACING
 }
 
-impl<'a> View<'a> {
-    fn new(camera: &'a Camera, frame: &'a Frame) -> Self {
-        let rotation = DMat3::from_cols_array(&camera.rotation).transpose();
-        Self { frame, camera, rotation, translation: camera.translation.into() }
-    }
-
-    fn faces(&self, at: Vec3, to: Vec3) -> bool {
-        let camera = (self.rotation.transpose() * -self.translation).as_vec3();
-        (camera - at).normalize_or_zero().dot(to.normalize_or_zero()) > FACING
-    }
-
-    /// The pixel at a place, if it is the person's.
-    fn colour(&self, place: Vec3) -> Option<[u8; 3]> {
-        let p = self.rotation * place.as_dvec3() + self.translation;
-        let x = (self.camera.fx * p.x / p.z + self.camera.cx).floor() - f64::from(self.frame.x0);
-        let y = (self.camera.fy * p.y / p.z + self.camera.cy).floor() - f64::from(self.frame.y0);
-        let within =
-            (0.0..f64::from(self.frame.width)).contains(&x) && (0.0..f64::from(self.frame.height)).contains(&y);
-        let pixel = (within && p.z > 0.0).then(|| y as usize * self.frame.width as usize + x as usize)?;
-        let inside = *self.frame.mask.get(pixel)? >= 128;
-        let colour = self.frame.rgb.get(3 * pixel..)?.first_chunk::<3>()?;
-        inside.then_some(*colour)
-    }
+/// The pixel at a place of the whole image, if it is the person's.
+fn colour(frame: &Frame, [x, y]: [f32; 2]) -> Option<[u8; 3]> {
+    let (x, y) = (x.floor() - frame.x0 as f32, y.floor() - frame.y0 as f32);
+    let within = (0.0..frame.width as f32).contains(&x) && (0.0..frame.height as f32).contains(&y);
+    let pixel = within.then(|| y as usize * frame.width as usize + x as usize)?;
+    let colour = frame.rgb.get(3 * pixel..)?.first_chunk::<3>()?;
+    (*frame.mask.get(pixel)? >= 128).then_some(*colour)
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use std::f32::consts::PI;
 
 use glam::Vec3;
 
+use super::mean_around;
 use crate::body::Body;
 use crate::fit::smooth;
 use crate::ops::Topology;
@@ -21,8 +22,7 @@ const ROUNDS: usize = 400;
 const LAST_ROUNDS: usize = 2;
 
 /// Moves the toes of one foot. `joints` are its ankle and foot, `places` where these lie.
-pub(super) fn cap(vertices: &mut [Vec3], body: &Body, joints: [usize; 2], places: [Vec3; 2]) {
-    let topology = Topology::new(body.n_vertices(), &body.faces);
+pub(super) fn cap(vertices: &mut [Vec3], body: &Body, topology: &Topology, joints: [usize; 2], places: [Vec3; 2]) {
     let toes = |v: usize| body.weight_of(v, |joint| joint as usize == joints[1]);
     let region: Vec<(usize, f32)> = (0..vertices.len())
         .map(|v| (v, toes(v)))
@@ -43,9 +43,7 @@ pub(super) fn cap(vertices: &mut [Vec3], body: &Body, joints: [usize; 2], places
         let moved: Vec<Vec3> = region
             .iter()
             .map(|&(v, part)| {
-                let around = topology.neighbours.row(v);
-                let mean = around.iter().map(|&n| vertices[n as usize]).sum::<Vec3>() / around.len().max(1) as f32;
-                let between = vertices[v].midpoint(mean);
+                let between = vertices[v].midpoint(mean_around(vertices, topology, v));
                 match round < ROUNDS {
                     true => before[v].lerp(centre + hull.reached(between - centre), part),
                     false => vertices[v].lerp(between, part),

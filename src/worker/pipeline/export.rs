@@ -30,8 +30,9 @@ pub(super) struct Fitted {
     pub focal_ratio: Option<f64>,
     pub start: Stage0Result,
     pub state: FitState,
-    /// What the person wears, where it hangs from leg to leg; `body` and `state` carry it.
+    /// What shoes and hair cover; `body` has lost it.
     pub covered: Covered,
+    /// What the person wears, where it hangs from leg to leg; `body` and `state` carry it.
     pub skirt: Option<Skirt>,
     pub config: FitConfig,
 }
