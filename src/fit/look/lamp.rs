@@ -11,6 +11,8 @@ pub struct Observation {
     pub face: u32,
     /// Pixels that showed it
     pub weight: f32,
+    /// Of these, those well inside the mask
+    pub inside: f32,
     /// Their mean, sRGB
     pub colour: [f32; 3],
     /// Unit, world space
@@ -404,7 +406,7 @@ mod tests {
                     let shade = light.shade(normal, Exposure::FULL);
                     let noise = 0.01 * (rng.random::<f32>() - 0.5);
                     let colour = std::array::from_fn(|k| (albedo[k] * shade[k] + noise).min(1.0));
-                    observations.push(Observation { frame, face, weight: 4.0, colour, normal });
+                    observations.push(Observation { frame, face, weight: 4.0, inside: 4.0, colour, normal });
                 }
             }
         }
@@ -432,7 +434,7 @@ mod tests {
         let (lit, dark) = ([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]);
         let seen = [lit, lit, lit, dark].map(|normal| {
             let colour = light.shade(normal, Exposure::FULL).map(|shade| (0.9 * shade).min(1.0));
-            Observation { frame: 0, face: 0, weight: 1.0, colour, normal }
+            Observation { frame: 0, face: 0, weight: 1.0, inside: 1.0, colour, normal }
         });
         let (albedo, _) = albedos(&seen, 1, &light, |_| Exposure::FULL);
         assert!(albedo.iter().all(|a| (a - 0.9).abs() < 1e-4), "{albedo:?}");
@@ -467,7 +469,14 @@ mod tests {
                 let normal = normal.to_array();
                 let shade = light.shade(normal, of_face(&exposures[frame], face));
                 let colour = std::array::from_fn(|k| (0.2 + 0.1 * ((f + k) % 5) as f32) * shade[k]);
-                seen.push(Observation { frame: frame as u32, face: f as u32, weight: 1.0, colour, normal });
+                seen.push(Observation {
+                    frame: frame as u32,
+                    face: f as u32,
+                    weight: 1.0,
+                    inside: 1.0,
+                    colour,
+                    normal,
+                });
             }
         }
         seen

@@ -10,6 +10,8 @@ use crate::ops::light::{Exposure, ExposureAt, Light, ShadedRows, Shading, Write}
 /// A light and what it needs to know of the body. One frame at a time: the scene's last one.
 pub struct Lit {
     pub light: Light,
+    /// Whether the light is known, so that its shadows alone are to be found.
+    pub stands: bool,
     face_normals: FaceNormals,
     shading: Shading,
     /// `[F, 3]`, world space
@@ -32,6 +34,7 @@ impl Lit {
         let n_vertices = topology.corners.len();
         Self {
             light,
+            stands: false,
             exposure: gpu.upload("fit/lit/exposure", &vec![1.0; n_frames * n_vertices * 2]),
             on_faces: face_normals.normals(gpu, "fit/lit/face_normals"),
             face_parts: gpu.zeros("fit/lit/face_parts", 2 * faces.len()),
@@ -52,6 +55,11 @@ impl Lit {
         assert_eq!(2 * exposures.len(), self.exposure.len(), "exposures");
         gpu.write(&self.exposure, 0, bytemuck::cast_slice(&exposures));
         self.light = light;
+    }
+
+    /// The same, whose light is not solved anew if it `stands`.
+    pub fn standing(self, stands: bool) -> Self {
+        Self { stands, ..self }
     }
 
     /// Records the normals of the scene's body, posed as in `frame`, and the light on its faces.

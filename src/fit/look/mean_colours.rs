@@ -15,12 +15,13 @@ use crate::ops::light::{Exposure, Light};
 pub struct FaceAlbedos {
     /// `[F, 3]`
     pub colours: Vec<f32>,
-    /// `[F]`: pixels well inside the masks that showed a face
+    /// `[F]`: pixels well inside the masks that showed a face, in the dark less: there a shade that is a little wrong makes
+    /// an albedo that is far off
     pub counts: Vec<f32>,
 }
 
 /// Colours over all frames at `level`, for the scene's shape, and with `lit` the light, which is told from the
-/// colours and put into `lit` with its shadows. A face that no pixel showed takes the mean of its neighbours, from the seen ones outwards.
+/// colours, unless it stands, and put into `lit` with its shadows. A face that no pixel showed takes the mean of its neighbours, from the seen ones outwards.
 pub fn solve_face_colours(
     scene: &Scene,
     faces: &[[u32; 3]],
@@ -29,31 +30,60 @@ pub fn solve_face_colours(
     level: usize,
 ) -> Result<FaceAlbedos, GpuError> {
     let mut clip = PosedClip::new(faces);
-    let mut inner = vec![0.0; faces.len()];
-    let observations = observe(scene, faces.len(), lit.as_deref(), poses, level, &mut clip, &mut inner)?;
+    let observations = observe(scene, faces.len(), lit.as_deref(), poses, level, &mut clip)?;
     let (mut light, mut exposures) = (Light::EVEN, Vec::new());
     if let Some(lit) = lit {
-        // One camera takes the whole clip; its y points down and its z forward.
-        let [_, _, _, ux, uy, uz, fx, fy, fz] = scene.frames[0].levels[level].camera.rotation.map(|x| x as f32);
-        let sky = Sky::new([-ux, -uy, -uz], [fx, fy, fz]);
-        light = solve_light(&observations, faces.len(), &sky);
-        if light.has_lamp() {
-            (light, exposures) = solve_shadowed_light(&observations, faces, &light, &sky, &clip);
-        } else {
-            exposures = clip.exposures(&light);
-        }
+        (light, exposures) = match lit.stands {
+            true => (lit.light, clip.exposures(&lit.light)),
+            false => solve(scene, faces, &observations, level, &clip),
+        };
         lit.set(&scene.gpu, light, &exposures);
     }
     let reaching = |o: &Observation| {
         exposures.get(o.frame as usize).map_or(Exposure::FULL, |e| of_face(e, faces[o.face as usize]))
     };
-    let (mut colours, counts) = albedos(&observations, faces.len(), &light, reaching);
+    let counts = lit_counts(&observations, faces.len(), &light, reaching);
+    let (mut colours, seen) = albedos(&observations, faces.len(), &light, reaching);
     colours.iter_mut().for_each(|c| *c = c.min(1.0));
-    unseen::spread(faces, &mut colours, counts.iter().map(|&n| n > 0.0).collect());
-    Ok(FaceAlbedos { colours, counts: inner })
+    unseen::spread(faces, &mut colours, seen.iter().map(|&n| n > 0.0).collect());
+    Ok(FaceAlbedos { colours, counts })
 }
 
-/// What each frame shows of each face; adds to `inner [F]` the pixels that do whose neighbours are inside the mask, too. With `lit` each frame's body goes to `clip`; without it the normals are zero.
+/// The light that explains the observations best, and what of it reaches each vertex in each frame.
+fn solve(
+    scene: &Scene,
+    faces: &[[u32; 3]],
+    observations: &[Observation],
+    level: usize,
+    clip: &PosedClip<'_>,
+) -> (Light, Vec<Vec<Exposure>>) {
+    // One camera takes the whole clip; its y points down and its z forward.
+    let [_, _, _, ux, uy, uz, fx, fy, fz] = scene.frames[0].levels[level].camera.rotation.map(|x| x as f32);
+    let sky = Sky::new([-ux, -uy, -uz], [fx, fy, fz]);
+    let light = solve_light(observations, faces.len(), &sky);
+    if light.has_lamp() {
+        return solve_shadowed_light(observations, faces, &light, &sky, clip);
+    }
+    (light, clip.exposures(&light))
+}
+
+/// `[F]`: the pixels well inside the masks that showed each face, each by the square of its shade: its weight in the least squares
+/// that tell the albedo. None counts more than once.
+fn lit_counts(
+    observations: &[Observation],
+    n_faces: usize,
+    light: &Light,
+    exposure: impl Fn(&Observation) -> Exposure,
+) -> Vec<f32> {
+    let mut counts = vec![0.0; n_faces];
+    for o in observations {
+        let shade = light.shade(o.normal, exposure(o))[1].min(1.0);
+        counts[o.face as usize] += o.inside * shade * shade;
+    }
+    counts
+}
+
+/// What each frame shows of each face. With `lit` each frame's body goes to `clip`; without it the normals are zero.
 fn observe(
     scene: &Scene,
     n_faces: usize,
@@ -61,7 +91,6 @@ fn observe(
     poses: &PoseGroups,
     level: usize,
     clip: &mut PosedClip<'_>,
-    inner: &mut [f32],
 ) -> Result<Vec<Observation>, GpuError> {
     let gpu = &scene.gpu;
     let (sums, counts) =
@@ -96,11 +125,11 @@ fn observe(
         }
         for face in (0..n_faces).filter(|face| counts[3 * face] > 0.0) {
             let weight = counts[3 * face];
-            inner[face] += counts[3 * face + 1];
             observations.push(Observation {
                 frame: frame as u32,
                 face: face as u32,
                 weight,
+                inside: counts[3 * face + 1],
                 colour: std::array::from_fn(|k| sums[3 * face + k] / weight),
                 normal: normals.as_ref().map_or([0.0; 3], |normals| normals[face]),
             });
@@ -119,4 +148,26 @@ pub fn well_inside(pixels: &[[u8; 4]], width: usize) -> impl Iterator<Item = boo
         around.iter().all(|&(dx, dy)| inside((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1)))
     };
     (0..height).flat_map(move |y| (0..width).map(move |x| (x, y))).map(well)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_lies_in_the_dark_counts_as_little_known() {
+        let observation = |face: u32, frame: u32| Observation {
+            frame,
+            face,
+            weight: 5.0,
+            inside: 4.0,
+            colour: [0.5; 3],
+            normal: [0.0, 1.0, 0.0],
+        };
+        // An open face and one in a corner in two frames each; a third that only the first frame shows, brighter than the mean.
+        let observations = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0)].map(|(face, frame)| observation(face, frame));
+        let reaches = [1.0, 0.5, 1.5];
+        let exposure = |o: &Observation| Exposure { ambient: reaches[o.face as usize], lamp: 1.0 };
+        assert_eq!(lit_counts(&observations, 4, &Light::EVEN, exposure), [8.0, 2.0, 4.0, 0.0]);
+    }
 }
