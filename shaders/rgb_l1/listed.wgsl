@@ -1,5 +1,5 @@
-// One listed pixel an invocation: value = the sum over the channels of |image - target|, and
-// grad_image = lambda sign(image - target).
+// One listed pixel an invocation: value = weight times the sum over the channels of |image - target|, and
+// grad_image = lambda weight sign(image - target).
 #import shared/linear_index
 #import shared/rgb_difference
 
@@ -7,8 +7,9 @@
 @group(0) @binding(1) var<storage, read> image: array<f32>;
 @group(0) @binding(2) var<storage, read> seen: array<u32>;
 @group(0) @binding(3) var<storage, read> pixel_index: array<u32>;
-@group(0) @binding(4) var<storage, read_write> values: array<f32>;
-@group(0) @binding(5) var<storage, read_write> grad_image: array<f32>;
+@group(0) @binding(4) var<storage, read> weights: array<f32>;
+@group(0) @binding(5) var<storage, read_write> values: array<f32>;
+@group(0) @binding(6) var<storage, read_write> grad_image: array<f32>;
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -18,8 +19,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     }
     let i = pixel_index[k];
     let off = difference_at(i);
-    values[k] = abs(off.x) + abs(off.y) + abs(off.z);
-    let g = params.lambda * sign(off);
+    values[k] = weights[k] * (abs(off.x) + abs(off.y) + abs(off.z));
+    let g = params.lambda * weights[k] * sign(off);
     grad_image[3u * i] = g.x;
     grad_image[3u * i + 1u] = g.y;
     grad_image[3u * i + 2u] = g.z;

@@ -56,6 +56,7 @@ impl StepBench {
             FitState::new(body, vec![0.0; body.n_betas], &poses, &vec![transl; n_frames], config.field, config.seed);
         let capture = Capture {
             camera: person.camera,
+            uploaded_side_px: 0,
             camera_estimated: false,
             fps: 30.0,
             frames: (0..n_frames as u32).map(|index| Frame { index, ..frame.clone() }).collect(),

@@ -70,8 +70,18 @@ impl Capture {
     /// Decodes, checks, undistorts, scales, subsamples and crops a clip; keypoints of frames that are left out smooth those of
     /// the others. Only the crops of the frames kept are ever in memory together.
     pub fn load(inputs: &CaptureInputs, options: &CaptureOptions) -> Result<Self, CaptureError> {
-        let mut clip = Clip::open(inputs, false, Instant::now() + LOAD_TIME)?;
+        let clip = Clip::open(inputs, false, Instant::now() + LOAD_TIME)?;
         let kept = subsample(clip.keypoints.frames.len(), options.max_frames as usize);
+        Self::of(clip, &kept, options.max_side_px)
+    }
+
+    /// As [`Capture::load`], but of the frames with these numbers in the video, which rise.
+    pub fn load_frames(inputs: &CaptureInputs, frames: &[u32], max_side_px: u32) -> Result<Self, CaptureError> {
+        let kept: Vec<usize> = frames.iter().map(|&frame| frame as usize).collect();
+        Self::of(Clip::open(inputs, false, Instant::now() + LOAD_TIME)?, &kept, max_side_px)
+    }
+
+    fn of(mut clip: Clip, kept: &[usize], max_side_px: u32) -> Result<Self, CaptureError> {
         let mut rectify = None;
         let mut frames = Vec::with_capacity(kept.len());
         let camera = clip.camera.clone();
@@ -80,7 +90,7 @@ impl Capture {
             |size, still| {
                 if rectify.is_none() {
                     let camera = camera.clone().unwrap_or_else(|| calibration::guess(size.0, size.1));
-                    rectify = Some(Rectify::new(camera, options.max_side_px.max(16))?);
+                    rectify = Some(Rectify::new(camera, max_side_px.max(16))?);
                 }
                 if let (Some(rectify), Some(bounds)) = (&rectify, still.bounds) {
                     frames.push(cut_out(rectify, &still, bounds)?);
@@ -99,11 +109,12 @@ impl Capture {
         }
         Ok(Self {
             camera: rectify.camera,
+            uploaded_side_px: clip.size.0.max(clip.size.1),
             camera_estimated: clip.camera.is_none(),
             fps: clip.fps(),
             frames,
             keypoint_format: clip.keypoints.format.name.to_owned(),
-            poses: clip.poses.as_ref().map(|poses| poses.subset(&kept)),
+            poses: clip.poses.as_ref().map(|poses| poses.subset(kept)),
             warnings: clip.warnings,
         })
     }

@@ -65,6 +65,8 @@ pub struct KnownPoses {
 pub struct Capture {
     /// Of the undistorted, scaled images.
     pub camera: Camera,
+    /// The longer side of the uploaded images.
+    pub uploaded_side_px: u32,
     /// True where no camera came with the clip: the focal length is a guess that stage 0 refines.
     pub camera_estimated: bool,
     /// Frames a second of the uploaded video.

@@ -329,6 +329,21 @@ fn frames_are_thinned_and_scaled_with_their_keypoints_and_poses() {
 }
 
 #[test]
+fn some_frames_are_loaded_again_at_another_size() {
+    let clip = Clip::new();
+    let small = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }).unwrap();
+    assert_eq!(small.uploaded_side_px, 96);
+    let large = Capture::load_frames(&clip.inputs, &[3, 9], 96).unwrap();
+    assert_eq!(large.frames.iter().map(|f| f.index).collect::<Vec<_>>(), [3, 9]);
+    assert_eq!((large.camera.width, large.camera.height), (64, 96));
+    let whole = clip.load().unwrap();
+    for frame in &large.frames {
+        let same = &whole.frames[frame.index as usize];
+        assert_eq!((frame.x0, frame.y0, &frame.rgb, &frame.mask), (same.x0, same.y0, &same.rgb, &same.mask));
+    }
+}
+
+#[test]
 fn keypoints_of_frames_that_are_left_out_smooth_the_others() {
     let clip = Clip::new();
     clip.video(&encode((0..30).map(|_| rgb(0)), "rgb24", &MP4));

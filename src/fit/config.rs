@@ -124,12 +124,16 @@ pub struct FitConfig {
     pub hip_keypoints: bool,
     /// Whether the light is told from the albedo ([`crate::ops::light`]); else the colours hold both.
     pub light: bool,
+    /// Whether the light stands as the fit's start has it; else each phase solves it anew.
+    pub light_stands: bool,
     /// Whether the texture is told the colours of what no frame shows, by its surroundings and the body's other half.
     pub fill_unseen: bool,
     /// Whether cloth from leg to leg is looked for in the end, filled and carried by both legs ([`super::skirt`]).
     pub skirts: bool,
     /// Whether the body loses toes and ears that shoes and hair cover ([`super::covered`]).
     pub covered: bool,
+    /// Whether the texture goes on with the uploaded pictures in the end, where those are larger ([`super::detail`]).
+    pub detail: bool,
     pub rates: Rates,
     /// Stage 1, with one colour a face.
     pub geometry: StageConfig,
@@ -137,6 +141,10 @@ pub struct FitConfig {
     pub texture: StageConfig,
     /// Part of the covered pixels that a texture step looks at.
     pub pixel_rate: f32,
+    /// But of one frame at most so many.
+    pub most_pixels: Option<usize>,
+    /// Whether a pixel counts less for the texture the more slantingly the surface lies in it.
+    pub facing: bool,
     pub field: TextureFieldConfig,
 }
 
@@ -184,9 +192,11 @@ impl FitConfig {
             pose_smoothing: 1.0 / 30.0,
             hip_keypoints: true,
             light: true,
+            light_stands: false,
             fill_unseen: true,
             skirts: true,
             covered: true,
+            detail: true,
             rates: Rates {
                 betas: 1e-2,
                 pose: 4e-3,
@@ -199,6 +209,8 @@ impl FitConfig {
             geometry: StageConfig { weights: GEOMETRY, shape: true, phases: geometry },
             texture: StageConfig { weights: Weights { rgb_soft: 0.0, ..GEOMETRY }, shape: true, phases: texture },
             pixel_rate: 0.5,
+            most_pixels: None,
+            facing: false,
             field: TextureFieldConfig::default(),
         }
     }
@@ -241,6 +253,13 @@ impl FitConfig {
         self
     }
 
+    /// Some last passes with the texture alone, on pictures of a higher resolution ([`super::detail`]).
+    pub fn detailed(self) -> Self {
+        let mut config = self.texture_alone();
+        config.texture.phases.iter_mut().for_each(|phase| phase.epochs = DETAIL);
+        Self { pixel_rate: 1.0, most_pixels: Some(MOST_PIXELS), facing: true, light_stands: true, ..config }
+    }
+
     /// Everything at once, the paper's "moving targets" (§3.6): the losses of the geometry stage, and as many passes as
     /// both stages have; those of the texture stage go on like the last of the geometry stage.
     pub fn joint(mut self) -> Self {
@@ -261,7 +280,7 @@ impl FitConfig {
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
         config.fill_unseen = false;
-        (config.skirts, config.covered) = (false, false);
+        (config.skirts, config.covered, config.detail) = (false, false, false);
         config.min_steps_a_pass = 1;
         config.rates.offsets = DIRECT_OFFSET_RATE;
         config.frame_sampling = FrameSampling::Uniform;
@@ -311,6 +330,10 @@ const FINE: Phase = Phase { level: 0, sigma: 2e-5, depth_softness_m: 0.01, ..COA
 
 /// Passes of [`FitConfig::texture_alone`].
 const ALONE: u32 = 6;
+
+/// Passes of [`FitConfig::detailed`], and the pixels of a frame in one of them.
+const DETAIL: u32 = 8;
+const MOST_PIXELS: usize = 30_000;
 
 const TEXTURED: Phase = Phase { preconditioner: Preconditioner::LargeSteps { lambda: 4.0 }, pose_rate: 0.5, ..FINE };
 

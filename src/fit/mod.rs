@@ -4,6 +4,7 @@
 pub mod config;
 mod control;
 pub mod covered;
+pub mod detail;
 mod frame_step;
 mod frames;
 mod groups;

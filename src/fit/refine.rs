@@ -44,6 +44,7 @@ pub fn refine_pose(
     let config = &frozen(config);
     let capture = Capture {
         camera: camera.clone(),
+        uploaded_side_px: 0,
         camera_estimated: false,
         fps: 1.0,
         frames: vec![picture],

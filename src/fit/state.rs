@@ -188,6 +188,19 @@ impl FitState {
 /// The mean body's vertices in the T-pose, scaled evenly into the unit cube with a margin in which learned coordinates
 /// may move (paper §3.2). Even scaling keeps texels square on the surface.
 fn initial_texcoords(body: &Body) -> Vec<f32> {
+    let (low, high) = bounds(body);
+    let scale = 1.0 / cube_side(body) as f32;
+    body.v_template.iter().flat_map(|v| [0, 1, 2].map(|k| 0.5 + (v[k] - 0.5 * (low[k] + high[k])) * scale)).collect()
+}
+
+/// Metres of the mean body's surface along the side of the cube that the texture's coordinates lie in, at the start.
+pub fn cube_side(body: &Body) -> f64 {
+    let (low, high) = bounds(body);
+    let side = (0..3).map(|k| high[k] - low[k]).fold(0.0, f32::max).max(1e-6);
+    f64::from(side) / 0.9
+}
+
+fn bounds(body: &Body) -> ([f32; 3], [f32; 3]) {
     let mut low = [f32::INFINITY; 3];
     let mut high = [f32::NEG_INFINITY; 3];
     for v in &body.v_template {
@@ -196,7 +209,5 @@ fn initial_texcoords(body: &Body) -> Vec<f32> {
             high[k] = high[k].max(v[k]);
         }
     }
-    let side = (0..3).map(|k| high[k] - low[k]).fold(0.0, f32::max).max(1e-6);
-    let scale = 0.9 / side;
-    body.v_template.iter().flat_map(|v| [0, 1, 2].map(|k| 0.5 + (v[k] - 0.5 * (low[k] + high[k])) * scale)).collect()
+    (low, high)
 }

@@ -27,7 +27,8 @@ pub struct JobOptions {
     /// At most this many frames are used, evenly spread over the clip. Absent: the preset's.
     #[schema(minimum = 2, maximum = 10000)]
     pub max_frames: Option<u32>,
-    /// Images whose longer side has more pixels are scaled down to this. Absent: the preset's.
+    /// Images whose longer side has more pixels are scaled down to this. Absent: the preset's. But for `paper`, the texture's last
+    /// passes see larger ones, in which the person has up to 1600 pixels.
     #[schema(minimum = 64, maximum = 4096)]
     pub max_side_px: Option<u32>,
     /// Name of the body model; the server's `bodies` folder holds them.

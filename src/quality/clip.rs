@@ -252,6 +252,7 @@ mod tests {
         };
         Capture {
             camera: Camera::pinhole(SIDE, SIDE, [300.0, 300.0, 120.0, 120.0]),
+            uploaded_side_px: 0,
             camera_estimated: false,
             fps: 30.0,
             frames: (0..n).map(frame).collect(),

@@ -148,6 +148,7 @@ mod tests {
     fn capture(frames: Vec<Frame>) -> Capture {
         Capture {
             camera: Camera::pinhole(WIDTH as u32, HEIGHT as u32, [300.0, 300.0, 60.0, 110.0]),
+            uploaded_side_px: 0,
             camera_estimated: false,
             fps: 30.0,
             frames,

@@ -154,6 +154,7 @@ mod tests {
         };
         Capture {
             camera: start.camera.clone(),
+            uploaded_side_px: 0,
             camera_estimated: false,
             fps: 30.0,
             frames: (0..8).map(frame).collect(),

@@ -1,6 +1,7 @@
 //! What colours the surface: one colour a face in stage 1, a texture in stage 2.
 
 mod faces;
+mod facing;
 mod lamp;
 mod lit;
 mod mean_colours;

@@ -2,6 +2,7 @@
 //! with the face colours as they stand; where it is fitted too, each face has the texture's colour in its middle, without
 //! a gradient (the paper's `sg(φ)`).
 
+use super::facing::facing_pixels;
 use super::mean_colours::{FaceAlbedos, well_inside};
 use super::model::TextureModel;
 use super::unseen::{self, Unseen};
@@ -58,6 +59,8 @@ pub struct Texture {
     /// `[N][level]`, see [`trusted_pixels`].
     trusted: Vec<Vec<PixelList>>,
     pixel_rate: f32,
+    most_pixels: Option<usize>,
+    facing: bool,
     /// Whether what no frame shows is filled, and that, once a phase has begun.
     fills: bool,
     unseen: Option<Unseen>,
@@ -115,7 +118,7 @@ impl Texture {
         let trusted = scene.frames.iter().map(levels);
         let zeros = |name: &str| gpu.zeros::<f32>(&format!("fit/{name}"), n * 3);
         let lit = || LitTexture {
-            lit: Lit::new(gpu, faces, inputs.topology, scene.frames.len(), state.light),
+            lit: Lit::new(gpu, faces, inputs.topology, scene.frames.len(), state.light).standing(config.light_stands),
             shaded_faces: gpu.zeros("fit/shaded_faces", n_faces * 3),
             parts: gpu.zeros("fit/pixel_parts", 2 * n),
             shaded: zeros("shaded"),
@@ -123,7 +126,8 @@ impl Texture {
         };
         let texels = state.texels.as_ref();
         let coords = texels.map_or(state.texcoords.clone(), |t| t.uvs.iter().flat_map(|&[u, v]| [u, v, 0.0]).collect());
-        let capacity = n.min(MAX_LISTED).max(n_faces);
+        let listed = n.min(config.most_pixels.map_or(MAX_LISTED, |most| most * 5 / 4).min(MAX_LISTED));
+        let capacity = listed.max(n_faces);
         Ok(Self {
             model: TextureModel::new(gpu, config, state, capacity)?,
             capacity,
@@ -135,7 +139,7 @@ impl Texture {
             mirror: inputs.body.mirror.clone(),
             template: inputs.body.v_template.clone(),
             lit: config.light.then(lit),
-            interpolate: Interpolate::new(gpu, n, n.min(MAX_LISTED)),
+            interpolate: Interpolate::new(gpu, n, listed),
             rgb: RgbL1::new(gpu, n),
             face_colours: gpu.upload("fit/face_colours", &state.face_colours),
             grad_face_colours: gpu.zeros("fit/grad_face_colours", state.face_colours.len()),
@@ -148,10 +152,18 @@ impl Texture {
             grad_bary: zeros("grad_bary"),
             trusted: trusted.collect::<Result<_, FitError>>()?,
             pixel_rate: config.pixel_rate,
+            most_pixels: config.most_pixels,
+            facing: config.facing,
             fills: config.fill_unseen,
             unseen: None,
             rgb_weight: config.texture.weights.rgb,
         })
+    }
+
+    /// Part of the covered pixels of a frame that a step looks at.
+    fn rate(&self, trusted: &PixelList) -> f32 {
+        let most = self.most_pixels.map_or(1.0, |most| most as f32 / trusted.len().max(1) as f32);
+        self.pixel_rate.min(most)
     }
 
     fn faces<'a>(&'a self, scene: &'a Scene) -> &'a Buffer<u32> {
@@ -160,8 +172,13 @@ impl Texture {
 }
 
 impl Look for Texture {
-    /// Solves light and face colours anew for the geometry as it is, and finds out what no frame shows.
+    /// Solves light, where it does not stand, and face colours anew for the geometry as it is, and finds out what no frame shows.
     fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError> {
+        if self.facing {
+            for frame in 0..scene.frames.len() {
+                self.trusted[frame][phase.level] = facing_pixels(scene, &self.faces, poses, frame, phase.level)?;
+            }
+        }
         if self.lit.is_none() && !self.fills {
             return Ok(());
         }
@@ -221,7 +238,9 @@ impl Look for Texture {
         let (camera, n, target) = (&frame.level.camera, frame.level.camera.n_pixels(), frame.target());
         let (hard, faces, texcoords) = (&scene.hard, self.faces(scene), &self.texcoords.values);
         let seed = frame.number.wrapping_mul(0x9e37_79b9) ^ frame.frame as u32;
-        let sampling = Sampling { rate: self.pixel_rate as f64, seed };
+        let trusted = &self.trusted[frame.frame][frame.phase.level];
+        let rate = self.rate(trusted);
+        let sampling = Sampling { rate: f64::from(rate), seed };
         interpolate.forward(recorder, n, &hard.pix_to_face, &hard.bary_coords, faces, texcoords, sampling);
         let n_max = interpolate.n_max(n);
         model.forward(recorder, &interpolate.coords, &interpolate.count, n_max);
@@ -235,10 +254,9 @@ impl Look for Texture {
         };
         interpolate.scatter(recorder, n, shown, BACKGROUND, image);
 
-        let weight = frame.per_pixel(frame.weights.rgb) / self.pixel_rate;
-        let trusted = Some(&self.trusted[frame.frame][frame.phase.level]);
+        let weight = frame.per_pixel(frame.weights.rgb) / rate;
         let slot = losses.rgb_slot(frame.frame);
-        self.rgb.forward_backward(recorder, n, image, target, trusted, slot, weight, grad_image);
+        self.rgb.forward_backward(recorder, n, image, target, Some(trusted), slot, weight, grad_image);
         match &self.lit {
             Some(LitTexture { lit, parts, grad_shaded, .. }) => {
                 interpolate.gather(recorder, n, grad_image, grad_shaded);

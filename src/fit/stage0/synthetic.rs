@@ -198,6 +198,7 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
     };
     let capture = Capture {
         camera,
+        uploaded_side_px: 0,
         camera_estimated: how.focal_guess.is_some(),
         fps: 30.0,
         frames,

@@ -109,8 +109,8 @@ impl RgbL1 {
         let (seen, values, params) = (target.buffer(n_pixels, 3), &self.values, params(n_rows, target, lambda));
         let packed = usize::from(target.is_packed());
         match pixels {
-            Some(PixelList { index, .. }) => {
-                let buffers: [&dyn AnyBuffer; 5] = [image, seen, index, values, grad_image];
+            Some(PixelList { index, weight, .. }) => {
+                let buffers: [&dyn AnyBuffer; 6] = [image, seen, index, weight, values, grad_image];
                 recorder.dispatch(&self.listed[packed], &params, &buffers, linear_groups(n_rows, 64));
             }
             None => {

@@ -7,8 +7,9 @@
 //! | `weights` | `[H, W]` | optional weight of each pixel |
 //! | `grad_image` | `[H, W, 3]` | `backward` adds `λ w sign(Î − I)`, zero where both are equal |
 //!
-//! `forward_backward` does both in one pass over all pixels or over listed ones, with weight one, and, against the rule,
-//! overwrites `grad_image`: nothing has to be read first. Pixels that are not listed do not count.
+//! `forward_backward` does both in one pass, over all pixels with weight one or over listed ones with the weights of their
+//! [`PixelList`](crate::ops::PixelList), and, against the rule, overwrites `grad_image`: nothing has to be read first. Pixels
+//! that are not listed do not count.
 
 pub mod cpu;
 mod gpu;

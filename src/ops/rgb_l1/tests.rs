@@ -112,3 +112,18 @@ fn one_pass_over_all_or_listed_pixels_is_as_two_with_weights() {
         assert_close("grad_image", &grad_both, &grad, 1e-6);
     }
 }
+
+#[test]
+fn listed_pixels_count_by_their_weights() {
+    let Some(gpu) = gpu("rgb_l1::listed_pixels_count_by_their_weights") else { return };
+    let n = 90;
+    let (image, target) = (noise(n * 3, 9), f32s(&noise(n * 3, 10)));
+    let target = gpu.upload("target", &target);
+    let weights: Vec<f64> = noise(n, 11).iter().map(|w| w.max(0.0)).collect();
+    let (loss, grad) = on_gpu(&gpu, &image, Target::Values(&target), Some(&weights), 0.5);
+    let pixels = PixelList::weighted(&gpu, "pixels", f32s(&weights));
+    assert_eq!(pixels.len(), weights.iter().filter(|w| **w > 0.0).count());
+    let (loss_both, grad_both) = in_one_pass(&gpu, &image, Target::Values(&target), Some(&pixels));
+    assert_close("loss", &[loss_both], &[loss], 1e-5);
+    assert_close("grad_image", &grad_both, &grad, 1e-6);
+}

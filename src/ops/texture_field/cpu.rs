@@ -1,6 +1,6 @@
 //! Reference twin. Also the way to evaluate a field where there is no device.
 
-use super::{FEATURES, Level, TextureFieldConfig, TextureFieldParams};
+use super::{FEATURES, Level, TextureFieldConfig, TextureFieldParams, hash};
 use crate::ops::Real;
 
 /// Pixels of one pass through the perceptron: their activations stay in the first cache.
@@ -137,7 +137,7 @@ impl<T: Real> Cell<T> {
     fn entry(&self, level: &Level, k: usize) -> usize {
         let [x, y, z] = [0, 1, 2].map(|axis| self.corner[axis] + (k >> axis & 1) as u32);
         let index = if level.hashed {
-            (x ^ y.wrapping_mul(2_654_435_761) ^ z.wrapping_mul(805_459_861)) & (level.entries - 1)
+            hash([x, y, z]) & (level.entries - 1)
         } else {
             (x + y * level.resolution + z * level.resolution * level.resolution) % level.entries
         };

@@ -87,6 +87,11 @@ pub struct Level {
     pub hashed: bool,
 }
 
+/// Where a hashed level has a point, modulo its entries.
+fn hash([x, y, z]: [u32; 3]) -> u32 {
+    x ^ y.wrapping_mul(2_654_435_761) ^ z.wrapping_mul(805_459_861)
+}
+
 impl Level {
     /// `scale` rounded towards zero. The finest scale is a whole number but for rounding; rounded up, it would put the
     /// middle of the cube on the other side of a cell's border than the exact scale does.
@@ -149,6 +154,21 @@ impl TextureFieldConfig {
         self.levels().last().map_or(0, |l| (l.offset + l.entries) as usize)
     }
 
+    /// As this, with finer levels until a cell is no longer than `cell` of the cube's side, and tables of
+    /// `2^log2_hashmap_size` entries; nothing becomes coarser or smaller, and no level is finer than there may be.
+    pub fn refined(&self, cell: f64, log2_hashmap_size: u32) -> Self {
+        let mut config = Self { log2_hashmap_size: self.log2_hashmap_size.max(log2_hashmap_size), ..*self };
+        let is_coarse = |c: &Self| c.levels().last().is_some_and(|finest| finest.scale * cell < 1.0);
+        while is_coarse(&config) {
+            let finer = Self { n_levels: config.n_levels + 1, ..config };
+            if finer.validate().is_err() {
+                break;
+            }
+            config = finer;
+        }
+        config
+    }
+
     /// Width of the encoding.
     pub fn encoded_width(&self) -> usize {
         self.n_levels * FEATURES
@@ -182,6 +202,40 @@ impl TextureFieldParams {
             w1: uniform(h * h, he(h)),
             w2: uniform(3 * h, he(h)),
         }
+    }
+}
+
+impl TextureFieldParams {
+    /// The same field with more room, `from` being its sizes and `to` those of [`TextureFieldConfig::refined`]: what it
+    /// shows is the same, but in the cube's outermost cells, whose far points wrap round. Points that shared an entry have one each; levels that are new start at random and
+    /// count for nothing until they are learned.
+    ///
+    /// # Panics
+    /// When `to` is not refined from `from`.
+    pub fn refined(&self, from: &TextureFieldConfig, to: &TextureFieldConfig, seed: u64) -> Self {
+        let kept = from.n_levels;
+        assert_eq!(*from, TextureFieldConfig { n_levels: kept, log2_hashmap_size: from.log2_hashmap_size, ..*to });
+        assert!(kept <= to.n_levels && from.log2_hashmap_size <= to.log2_hashmap_size, "refined: smaller");
+        let mut params = Self { w1: self.w1.clone(), w2: self.w2.clone(), ..Self::random(to, seed) };
+        let (old, new) = (self.table.as_chunks::<FEATURES>().0, params.table.as_chunks_mut::<FEATURES>().0);
+        for (small, large) in from.levels().iter().zip(to.levels()) {
+            let (offset, into) = (small.offset as usize, &mut new[large.offset as usize..][..large.entries as usize]);
+            let same = |index: u32| old[offset + (index % small.entries) as usize];
+            if small.hashed && !large.hashed {
+                let n = large.resolution;
+                let points = (0..n.pow(3)).map(|i| [i % n, i / n % n, i / (n * n)]);
+                into.iter_mut().zip(points).for_each(|(entry, point)| *entry = same(hash(point)));
+            } else {
+                // The longer hash ends as the shorter one.
+                into.iter_mut().zip(0..).for_each(|(entry, index)| *entry = same(index));
+            }
+        }
+        let (before, after) = (from.encoded_width(), to.encoded_width());
+        params.w0.fill(0.0);
+        for (row, known) in params.w0.chunks_exact_mut(after).zip(self.w0.chunks_exact(before)) {
+            row[..before].copy_from_slice(known);
+        }
+        params
     }
 }
 

@@ -287,3 +287,49 @@ fn a_seed_gives_the_same_parameters() {
     assert_ne!(params, TextureFieldParams::random(&config, 6));
     assert!(params.table.iter().all(|x| x.abs() <= 1e-4));
 }
+
+#[test]
+fn a_refined_field_shows_the_same_everywhere_and_has_more_to_learn() {
+    // Levels that stay dense, that become dense, and that stay hashed.
+    let from = TextureFieldConfig {
+        n_levels: 5,
+        log2_hashmap_size: 8,
+        base_resolution: 4,
+        per_level_scale: 2.0,
+        hidden_width: 8,
+        ..Default::default()
+    };
+    let to = from.refined(1.0 / 200.0, 13);
+    assert_eq!((to.n_levels, to.log2_hashmap_size), (7, 13), "4, 8, … 256 cells");
+    let hashed = |config: &TextureFieldConfig| config.levels().iter().map(|l| l.hashed).collect::<Vec<_>>();
+    assert_eq!(hashed(&from), [false, true, true, true, true]);
+    assert_eq!(hashed(&to), [false, false, false, true, true, true, true]);
+
+    let mut rng = Pcg32::seed_from_u64(3);
+    let mut numbers = |n: usize| (0..n).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f32>>();
+    let zeros = TextureFieldParams::<f32>::zeros(&from);
+    let [table, w0, w1, w2] = [zeros.table, zeros.w0, zeros.w1, zeros.w2].map(|part| numbers(part.len()));
+    let params = TextureFieldParams { table, w0, w1, w2 };
+    let refined = params.refined(&from, &to, 1);
+    refined.validate(&to).unwrap();
+    let coords: Vec<f32> = numbers(3 * 500).into_iter().map(|x| 0.5 + 0.35 * x).collect();
+    let before = cpu::forward(&from, &params, &coords);
+    assert_close("rgb", &cpu::forward(&to, &refined, &coords), &before, 1e-6);
+
+    // The new levels have a gradient, where their table is not zero.
+    let mut grads = TextureFieldParams::zeros(&to);
+    cpu::backward(&to, &refined, &coords, &vec![1.0; coords.len()], &mut grads, &mut vec![0.0; coords.len()]);
+    let new = |w0: &[f32]| w0.chunks_exact(14).map(|row| row[10..].iter().map(|g| g.abs()).sum::<f32>()).sum::<f32>();
+    assert!(new(&grads.w0) > 0.0 && new(&refined.w0) == 0.0);
+}
+
+#[test]
+fn a_field_is_refined_to_a_cell_and_no_further_than_there_may_be() {
+    let config = TextureFieldConfig::default();
+    assert_eq!(config.refined(1.0, 10), config, "fine and large enough");
+    let finest = |cell: f64| config.refined(cell, 17).levels().last().unwrap().scale;
+    assert!((1000.0..1380.0).contains(&finest(1e-3)), "{}", finest(1e-3));
+    let most = config.refined(1e-9, 17);
+    most.validate().unwrap();
+    assert!(TextureFieldConfig { n_levels: most.n_levels + 1, ..most }.validate().is_err());
+}

@@ -4,10 +4,9 @@ use image::imageops::FilterType;
 use image::{Rgb, RgbImage};
 
 use super::PipelineError;
-use super::score::spec_of;
-use crate::avatar::{AvatarModel, Posed, RenderSpec, Renderer, view_space};
+use crate::avatar::{AvatarModel, Background, Posed, RenderSpec, Renderer, view_space};
 use crate::camera::Camera;
-use crate::capture::{Capture, Frame};
+use crate::capture::Frame;
 use crate::page::{inline_jpeg, over, strip};
 
 /// Side of a picture.
@@ -41,18 +40,26 @@ const PARTS: [Part; 5] = [
     Part { name: "right hand", joints: &[21, 23], best: Best::Near },
 ];
 
+/// The clip's pictures.
+pub(super) struct Filmed<'a> {
+    /// That sees them whole.
+    pub camera: &'a Camera,
+    /// Each with the avatar's frame that it shows.
+    pub pictures: Vec<(usize, &'a Frame)>,
+}
+
 /// Each part in the frame that shows it best: input and avatar, equally enlarged, with captions. Waits.
-pub(super) fn closeups(renderer: &Renderer, capture: &Capture) -> Result<Vec<(String, String)>, PipelineError> {
-    let model = renderer.model();
+pub(super) fn closeups(renderer: &Renderer, filmed: &Filmed<'_>) -> Result<Vec<(String, String)>, PipelineError> {
+    let (model, camera) = (renderer.model(), filmed.camera);
     let posed: Vec<Posed<f32>> = model.poses.iter().zip(&model.transl).map(|(p, t)| model.posed(p, *t)).collect();
     let mut shown = Vec::new();
     for part in &PARTS {
-        let worth = |k: &usize| part.best.worth(&posed[*k], part.joints[0], &model.camera);
-        let Some(k) = (0..posed.len()).max_by(|a, b| worth(a).total_cmp(&worth(b))) else { continue };
-        let Some(square) = square(model, &posed[k], part.joints) else { continue };
-        let frame = &capture.frames[k];
+        let worth = |k: usize| part.best.worth(&posed[k], part.joints[0], camera);
+        let best = filmed.pictures.iter().max_by(|a, b| worth(a.0).total_cmp(&worth(b.0)));
+        let Some(&(k, frame)) = best else { continue };
+        let Some(square) = square(model, camera, &posed[k], part.joints) else { continue };
         let input = enlarged(frame, square);
-        let ours = renderer.render(&spec_in(renderer, k, frame, square)).map_err(anyhow::Error::from)?;
+        let ours = renderer.render(&spec_in(renderer, camera, k, square)).map_err(anyhow::Error::from)?;
         let white = RgbImage::from_pixel(SIDE_PX, SIDE_PX, Rgb([255; 3]));
         let pair = strip(&[input, over(&ours, &white)], 4, [255; 3]);
         let alt = format!("{}: input, avatar", part.name);
@@ -77,15 +84,14 @@ impl Best {
     }
 }
 
-/// The square around a part's vertices as the model's camera sees them: left, top, side; pixels of the whole image. `None` where
+/// The square around a part's vertices as the camera sees them: left, top, side; pixels of the whole image. `None` where
 /// it has no vertices before the camera.
-fn square(model: &AvatarModel, posed: &Posed<f32>, joints: &[usize]) -> Option<[f32; 3]> {
+fn square(model: &AvatarModel, camera: &Camera, posed: &Posed<f32>, joints: &[usize]) -> Option<[f32; 3]> {
     let follows = |v: usize| {
         let (of, weights) = (&model.body.lbs_joints[v], &model.body.lbs_weights[v]);
         let most = (0..of.len()).max_by(|a, b| weights[*a].total_cmp(&weights[*b]));
         most.is_some_and(|most| joints.contains(&(of[most] as usize)))
     };
-    let camera = &model.camera;
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
     let seen = view_space(&posed.vertices, camera);
     for (_, [x, y, z]) in seen.iter().enumerate().filter(|(v, p)| p[2] > 0.1 && follows(*v)) {
@@ -112,11 +118,10 @@ fn enlarged(frame: &Frame, [left, top, side]: [f32; 3]) -> RgbImage {
 }
 
 /// The avatar in the same square of frame `k`.
-fn spec_in(renderer: &Renderer, k: usize, frame: &Frame, [left, top, side]: [f32; 3]) -> RenderSpec {
-    let spec = spec_of(renderer, k, frame);
+fn spec_in(renderer: &Renderer, camera: &Camera, k: usize, [left, top, side]: [f32; 3]) -> RenderSpec {
     let side_px = side.round() as u32;
-    let camera = renderer.model().camera.cropped(left.round() as i32, top.round() as i32, side_px, side_px);
-    RenderSpec { camera: camera.scaled(SIDE_PX, SIDE_PX), ..spec }
+    let camera = camera.cropped(left.round() as i32, top.round() as i32, side_px, side_px).scaled(SIDE_PX, SIDE_PX);
+    RenderSpec { camera, background: Background::Transparent, samples: 2, ..RenderSpec::of_frame(renderer.model(), k) }
 }
 
 #[cfg(test)]
@@ -128,13 +133,13 @@ mod tests {
     fn a_square_holds_the_part_and_little_more() {
         let model = turning_avatar();
         let posed = model.posed(&model.poses[0], model.transl[0]);
-        let head = square(&model, &posed, &[15]).unwrap();
-        let body = square(&model, &posed, &(0..24).collect::<Vec<_>>()).unwrap();
+        let head = square(&model, &model.camera, &posed, &[15]).unwrap();
+        let body = square(&model, &model.camera, &posed, &(0..24).collect::<Vec<_>>()).unwrap();
         assert!(head[2] < 0.4 * body[2], "{head:?} of {body:?}");
         let [x, _, z] = posed.joints[15];
         let x = model.camera.fx as f32 * x / z + model.camera.cx as f32;
         assert!(head[0] < x && x < head[0] + head[2], "{head:?}, the joint at {x}");
-        assert_eq!(square(&model, &posed, &[99]), None);
+        assert_eq!(square(&model, &model.camera, &posed, &[99]), None);
     }
 
     #[test]
@@ -142,7 +147,7 @@ mod tests {
         let mut model = turning_avatar();
         let of = |model: &AvatarModel| {
             let posed = model.posed(&model.poses[0], model.transl[0]);
-            (square(model, &posed, &[15]).unwrap(), Best::Front.worth(&posed, 15, &model.camera))
+            (square(model, &model.camera, &posed, &[15]).unwrap(), Best::Front.worth(&posed, 15, &model.camera))
         };
         let near = |a: f32, b: f32| (a - b).abs() < 1e-3;
         let (plain, facing) = of(&model);

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use serde_json::json;
 
+use super::closeups::Filmed;
 use super::page;
 use super::quality::Quality;
 use super::run::Monitor;
@@ -14,6 +15,7 @@ use crate::avatar::{AvatarModel, Renderer};
 use crate::body::Body;
 use crate::capture::Capture;
 use crate::fit::covered::Covered;
+use crate::fit::detail::Detail;
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::Stage0Result;
 use crate::fit::{FitConfig, FitState};
@@ -34,6 +36,8 @@ pub(super) struct Fitted {
     pub covered: Covered,
     /// What the person wears, where it hangs from leg to leg; `body` and `state` carry it.
     pub skirt: Option<Skirt>,
+    /// What the texture went on with, where the uploaded pictures are larger than the fit's.
+    pub detail: Option<Detail>,
     pub config: FitConfig,
 }
 
@@ -53,7 +57,7 @@ pub(super) fn export(
     let mut seen = vec![false; model.body.n_faces()];
     let scores = score_frames(&renderer, &fitted.capture, &mut seen, monitor)?;
     let quality = Quality::of(fitted, &model, &scores, &seen);
-    let pictures = page::pictures(&renderer, &fitted.capture, &scores)?;
+    let pictures = page::pictures(&renderer, &fitted.capture, &filmed(fitted), &scores)?;
     monitor.end();
     let report = report(gpu, fitted, input, &scores, &quality, monitor);
     write_report(&report, out)?;
@@ -71,6 +75,14 @@ fn write_files(gpu: &Arc<Gpu>, model: &Arc<AvatarModel>, texture_px: u32, out: &
 
 fn write_report(report: &serde_json::Value, out: &Path) -> anyhow::Result<()> {
     Ok(std::fs::write(out.join("report.json"), serde_json::to_string_pretty(report)?)?)
+}
+
+/// The largest pictures that there are.
+fn filmed(fitted: &Fitted) -> Filmed<'_> {
+    match &fitted.detail {
+        Some(detail) => Filmed { camera: &detail.camera, pictures: detail.whole().collect() },
+        None => Filmed { camera: &fitted.start.camera, pictures: fitted.capture.frames.iter().enumerate().collect() },
+    }
 }
 
 fn model_of(fitted: &Fitted, frames: &[u32]) -> AvatarModel {
@@ -140,6 +152,10 @@ fn report(
             "notes": fitted.start.report.notes,
         },
         "covered": fitted.covered,
+        "detail": fitted.detail.as_ref().map(|detail| json!({
+            "side_px": detail.camera.width.max(detail.camera.height),
+            "frames": detail.whole().count(),
+        })),
         "quality": quality,
         "warnings": fitted.capture.warnings,
         "camera": fitted.start.camera,

@@ -6,7 +6,7 @@ use std::f32::consts::PI;
 use image::{Rgb, RgbImage, RgbaImage};
 use serde_json::Value;
 
-use super::closeups::closeups;
+use super::closeups::{Filmed, closeups};
 use super::quality::Quality;
 use super::score::{FrameScore, spec_of};
 use super::{PipelineError, Stage};
@@ -38,6 +38,7 @@ pub(super) struct Pictures {
 pub(super) fn pictures(
     renderer: &Renderer,
     capture: &Capture,
+    filmed: &Filmed<'_>,
     scores: &[FrameScore],
 ) -> Result<Pictures, PipelineError> {
     let turntable = turntable(renderer).map_err(anyhow::Error::from)?;
@@ -50,7 +51,7 @@ pub(super) fn pictures(
         let caption = format!("frame {}: IoU {:.3}, PSNR {:.1} dB{rank}", score.frame, score.iou, score.psnr);
         frames.push((inline_jpeg(&picture, 82, "input, fit over it, difference"), caption));
     }
-    Ok(Pictures { turntable, frames, closeups: closeups(renderer, capture)? })
+    Ok(Pictures { turntable, frames, closeups: closeups(renderer, filmed)? })
 }
 
 /// The worst frames first, then frames spread evenly, none twice.

@@ -13,6 +13,7 @@ use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureOptions, Frame};
 use crate::fit::covered::Covered;
+use crate::fit::detail::{Closer, Detail};
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, Stage0Error, Stage0Options, Stage0Result};
 use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
@@ -45,7 +46,7 @@ pub fn run(
 ) -> Result<Outcome, PipelineError> {
     let checkpoint = work_dir.join("checkpoint.npz");
     let mut monitor = Monitor::new(gpu, observer, &checkpoint);
-    let config = config_of(&input.options);
+    let mut config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
     let mut body = load_body(data_dir, &input.options.body)?;
     let mut capture = load_capture(input)?;
@@ -61,10 +62,10 @@ pub fn run(
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
     let state = resumed(fresh, &checkpoint);
-    let tailored = work_dir.join("tailored.npz");
+    let [tailored, detailed] = ["tailored.npz", "detailed.npz"].map(|file| work_dir.join(file));
     if state.stage != fit::Stage::Done {
         // What lies there is of an earlier fit.
-        let _ = std::fs::remove_file(&tailored);
+        let _ = (std::fs::remove_file(&tailored), std::fs::remove_file(&detailed));
     }
     // The person's pose and shape, all grey.
     monitor.preview_from(&body, &capture, &start.camera, &config, &state);
@@ -82,8 +83,36 @@ pub fn run(
         let fitted = fit::run(gpu, &body, &capture, &start.camera, &alone, state_before, &tailored, &mut monitor);
         state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     }
-    let done = export::Fitted { body, capture, measures, focal_ratio, start, state, covered, skirt, config };
+    let detail = look_closer(input, &body, &capture, &measures, &start.camera, &config, &state)?;
+    if let Some(detail) = &detail {
+        let begun = resumed(detail.start(&state, &config), &detailed);
+        monitor.go_on_with(&detailed);
+        monitor.preview_from(&body, &capture, &start.camera, &detail.config, &begun);
+        let (pictures, camera) = (&detail.capture, &detail.camera);
+        let ended = fit::run(gpu, &body, pictures, camera, &detail.config, begun, &detailed, &mut monitor);
+        state = Detail::end(state, ended.map_err(|e| from_fit(e, monitor.stopped))?);
+        config.field = detail.config.field;
+    }
+    let done = export::Fitted { body, capture, measures, focal_ratio, start, state, covered, skirt, detail, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)
+}
+
+/// What the texture goes on with after the fit that has ended in `state`, if there is anything.
+fn look_closer(
+    input: &PipelineInput,
+    body: &Body,
+    capture: &Capture,
+    measures: &[quality::FrameMeasures],
+    camera: &Camera,
+    config: &FitConfig,
+    state: &FitState,
+) -> Result<Option<Detail>, PipelineError> {
+    let Some(closer) = Closer::to(capture).filter(|_| config.detail) else { return Ok(None) };
+    let mut large = Capture::load_frames(&input.capture_inputs(), &closer.frames, closer.side_px)?;
+    let offsets = closer.of(&quality::edge_offsets(measures)).into_iter();
+    let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * closer.gain)).collect();
+    quality::settle_masks(&mut large, &offsets);
+    Ok(Some(Detail::new(body, capture, camera, config, state, &closer, large)))
 }
 
 /// A checkpoint that cannot be read is worth no more than none.
@@ -167,6 +196,7 @@ fn focal_ratio(body: &Body, capture: &Capture, monitor: &mut Monitor<'_>) -> Opt
     };
     let free = Capture {
         camera: capture.camera.clone(),
+        uploaded_side_px: capture.uploaded_side_px,
         camera_estimated: true,
         fps: capture.fps,
         frames: (0..kept).map(|i| thin(&capture.frames[i * all / kept])).collect(),

@@ -1,0 +1,323 @@
+//! Detail: the last passes of the texture, at the resolution of the uploaded pictures.
+//!
+//! A fit looks at pictures that are scaled down: shape and poses gain little by more pixels and cost as many times more. A
+//! face, a print or a seam shows what it is in the uploaded ones. So in the end the texture alone goes on with these, in some of
+//! the frames. Half of them are close-ups of the head, since a whole picture gives a face few of the pixels that a step looks at.
+
+use super::config::FitConfig;
+use super::state::{FitState, Stage};
+use crate::body::{Body, N_JOINTS};
+use crate::camera::Camera;
+use crate::capture::{Capture, Frame};
+use crate::ops::project::cpu::forward as project;
+use crate::ops::skinning::cpu::forward as pose_body;
+
+/// Frames at most: a turn in steps of nine degrees.
+const FRAMES: usize = 40;
+/// What the longer side of a person's crop has at most, pixels.
+const MOST_PX: f64 = 1600.0;
+/// For less than this many times the fit's resolution it is not worth the while.
+const LEAST_GAIN: f64 = 1.25;
+/// Room around the head, over its size.
+const MARGIN: f32 = 1.1;
+/// Entries of a level of the texture, as a power of two: the more, the fewer places share one.
+const LOG2_HASHMAP_SIZE: u32 = 17;
+/// Colours run over a mask's border by compression, pixels.
+const BLEEDING_PX: u32 = 2;
+/// SMPL's.
+const HEAD: u32 = 15;
+/// Numbers of a pose
+const N_POSE: usize = 3 * N_JOINTS;
+
+/// Which frames are looked at once more, and how large.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Closer {
+    /// Of the fit's frames.
+    kept: Vec<usize>,
+    /// Their numbers in the video.
+    pub frames: Vec<u32>,
+    /// The longer side of the whole picture, pixels.
+    pub side_px: u32,
+    /// Pixels over those of the fit, along a side.
+    pub gain: f64,
+}
+
+impl Closer {
+    /// `None` where the uploaded pictures have hardly more pixels than the fit's.
+    pub fn to(capture: &Capture) -> Option<Self> {
+        let side = f64::from(capture.camera.width.max(capture.camera.height));
+        let person = capture.frames.iter().map(|frame| frame.width.max(frame.height)).max()?;
+        let gain = (f64::from(capture.uploaded_side_px) / side).min(MOST_PX / f64::from(person.max(1)));
+        if gain < LEAST_GAIN {
+            return None;
+        }
+        let (all, n) = (capture.frames.len(), capture.frames.len().min(FRAMES));
+        let kept: Vec<usize> = (0..n).map(|i| i * all / n).collect();
+        let frames = kept.iter().map(|&k| capture.frames[k].index).collect();
+        Some(Self { kept, frames, side_px: (side * gain).round() as u32, gain })
+    }
+
+    /// Values a frame of the fit, for the frames that are looked at.
+    pub fn of<T: Clone>(&self, values: &[T]) -> Vec<T> {
+        self.kept.iter().filter_map(|&k| values.get(k).cloned()).collect()
+    }
+}
+
+/// The texture's way on: a fit of its own, in which all else stands.
+pub struct Detail {
+    /// Each frame whole, and then its head.
+    pub capture: Capture,
+    pub camera: Camera,
+    pub config: FitConfig,
+    /// `[capture's frames]`: of the fit's.
+    frames: Vec<usize>,
+}
+
+impl Detail {
+    /// `fitted` is where a fit of `capture` with `config`, seen by `camera`, has ended; `large` has the frames of `closer`. A frame
+    /// that is missing there is left out.
+    pub fn new(
+        body: &Body,
+        capture: &Capture,
+        camera: &Camera,
+        config: &FitConfig,
+        fitted: &FitState,
+        closer: &Closer,
+        large: Capture,
+    ) -> Self {
+        let camera = as_large_as(&large.camera, camera, &capture.camera);
+        let mut frames = Vec::new();
+        let mut pictures = Vec::new();
+        for picture in &large.frames {
+            let Some(&k) = closer.kept.iter().find(|&&k| capture.frames[k].index == picture.index) else { continue };
+            let mut picture = picture.clone();
+            shrink(&mut picture, BLEEDING_PX);
+            if let Some(head) = head(body, fitted, k, &camera).and_then(|square| cut(&picture, square)) {
+                frames.push(k);
+                pictures.push(head);
+            }
+            frames.push(k);
+            pictures.push(picture);
+        }
+        let mut config = config.clone().detailed();
+        config.field = config.field.refined(cell(body, fitted, &camera), LOG2_HASHMAP_SIZE);
+        Self {
+            capture: Capture { frames: pictures, camera: camera.clone(), poses: None, ..large },
+            camera,
+            config,
+            frames,
+        }
+    }
+
+    /// The whole pictures, each with its frame of the fit.
+    pub fn whole(&self) -> impl Iterator<Item = (usize, &Frame)> {
+        let pictures = self.frames.iter().copied().zip(&self.capture.frames);
+        // A frame's last one.
+        let next = self.frames.iter().skip(1).map(Some).chain([None]);
+        pictures.zip(next).filter(|((k, _), next)| *next != Some(k)).map(|(picture, _)| picture)
+    }
+
+    /// What the detail starts from; `before` are the sizes of the texture of `fitted`.
+    pub fn start(&self, fitted: &FitState, before: &FitConfig) -> FitState {
+        let of = |values: &[f32], stride: usize| -> Vec<f32> {
+            self.frames.iter().flat_map(|&k| values[k * stride..][..stride].iter().copied()).collect()
+        };
+        FitState {
+            stage: Stage::Texture,
+            step: 0,
+            poses: of(&fitted.poses, N_POSE),
+            transl: of(&fitted.transl, 3),
+            field: fitted.field.refined(&before.field, &self.config.field, self.config.seed),
+            ..fitted.clone()
+        }
+    }
+
+    /// `fitted` with the look of `detailed`.
+    pub fn end(fitted: FitState, detailed: FitState) -> FitState {
+        let FitState { poses, transl, .. } = fitted;
+        FitState { poses, transl, ..detailed }
+    }
+}
+
+/// `camera`, which saw pictures of `fitted`, before those of `large`: it may have a focal length of its own.
+fn as_large_as(large: &Camera, camera: &Camera, fitted: &Camera) -> Camera {
+    Camera {
+        width: large.width,
+        height: large.height,
+        fx: large.fx * camera.fx / fitted.fx,
+        fy: large.fy * camera.fy / fitted.fy,
+        cx: large.cx + (camera.cx - fitted.cx) * large.fx / fitted.fx,
+        cy: large.cy + (camera.cy - fitted.cy) * large.fy / fitted.fy,
+        ..camera.clone()
+    }
+}
+
+/// A pixel at the person, in the units of the texture's coordinates.
+fn cell(body: &Body, fitted: &FitState, camera: &Camera) -> f64 {
+    let distances = fitted.transl.as_chunks::<3>().0.iter().map(|t| {
+        let place = glam::DVec3::from_array(t.map(f64::from));
+        glam::DVec3::from_slice(&camera.rotation[6..]).dot(place) + camera.translation[2]
+    });
+    let nearest = distances.fold(f64::INFINITY, f64::min);
+    nearest.max(0.1) / camera.fx / super::state::cube_side(body)
+}
+
+/// The square round the head in frame `k`: left, top, side, pixels of the whole picture.
+fn head(body: &Body, fitted: &FitState, k: usize, camera: &Camera) -> Option<[f32; 3]> {
+    let (pose, offsets) = (&fitted.poses[k * N_POSE..][..N_POSE], fitted.offsets.as_chunks().0);
+    let posed = pose_body(body, &fitted.betas, Some(offsets), pose, fitted.transl.as_chunks().0[k]);
+    let (view, screen) = project(camera, &posed.vertices);
+    let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
+    for v in (0..view.len()).filter(|&v| view[v][2] > 0.1 && body.weight_of(v, |j| j == HEAD) > 0.5) {
+        (0..2).for_each(|i| (low[i], high[i]) = (low[i].min(screen[v][i]), high[i].max(screen[v][i])));
+    }
+    let side = MARGIN * (high[0] - low[0]).max(high[1] - low[1]);
+    side.is_finite().then(|| [0.5 * (low[0] + high[0] - side), 0.5 * (low[1] + high[1] - side), side])
+}
+
+/// The part of a picture in a square of the whole one; `None` where nothing of the person is in it.
+fn cut(picture: &Frame, [left, top, side]: [f32; 3]) -> Option<Frame> {
+    let within = |low: f32, start: u32, size: u32| {
+        let end = (low + side).ceil().clamp(start as f32, (start + size) as f32) as u32;
+        let low = low.floor().clamp(start as f32, (start + size) as f32) as u32;
+        (low - start, end - low)
+    };
+    let (x, width) = within(left, picture.x0, picture.width);
+    let (y, height) = within(top, picture.y0, picture.height);
+    let rows = |values: &[u8], channels: usize| -> Vec<u8> {
+        let row = |r: u32| {
+            let from = (r * picture.width + x) as usize * channels;
+            &values[from..from + width as usize * channels]
+        };
+        (y..y + height).flat_map(row).copied().collect()
+    };
+    let mask = rows(&picture.mask, 1);
+    let some = mask.iter().any(|&m| m >= 128);
+    some.then(|| Frame {
+        x0: picture.x0 + x,
+        y0: picture.y0 + y,
+        width,
+        height,
+        rgb: rows(&picture.rgb, 3),
+        mask,
+        keypoints: picture.keypoints.clone(),
+        ..*picture
+    })
+}
+
+/// Takes the outermost pixels off a picture's mask.
+fn shrink(picture: &mut Frame, pixels: u32) {
+    let (width, height) = (picture.width as usize, picture.height as usize);
+    for _ in 0..pixels {
+        let before = picture.mask.clone();
+        let inside = |x: usize, y: usize| x < width && y < height && before[y * width + x] >= 128;
+        for (i, mask) in picture.mask.iter_mut().enumerate() {
+            let (x, y) = (i % width, i / width);
+            let around =
+                inside(x.wrapping_sub(1), y) && inside(x + 1, y) && inside(x, y.wrapping_sub(1)) && inside(x, y + 1);
+            *mask = if *mask >= 128 && around { 255 } else { 0 };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ops::texture_field::TextureFieldConfig;
+
+    fn picture(index: u32, [x0, y0, width, height]: [u32; 4]) -> Frame {
+        let n = (width * height) as usize;
+        let rgb = (0..n).flat_map(|i| [i as u8, index as u8, 7]).collect();
+        Frame { index, x0, y0, width, height, rgb, mask: vec![255; n], keypoints: Vec::new() }
+    }
+
+    fn capture(n: u32, side: u32, uploaded_side_px: u32, person: u32) -> Capture {
+        Capture {
+            camera: Camera::pinhole(side, side, [1.2, 1.2, 0.5, 0.5].map(|part| part * f64::from(side))),
+            uploaded_side_px,
+            camera_estimated: false,
+            fps: 30.0,
+            frames: (0..n).map(|i| picture(2 * i, [10, 20, person / 3, person])).collect(),
+            keypoint_format: "coco17".into(),
+            poses: None,
+            warnings: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn larger_pictures_are_looked_at_in_some_frames_and_up_to_a_size() {
+        assert_eq!(Closer::to(&capture(60, 360, 360, 300)), None);
+        assert_eq!(Closer::to(&capture(60, 360, 440, 300)), None, "hardly larger");
+        let closer = Closer::to(&capture(120, 720, 1920, 500)).unwrap();
+        assert_eq!((closer.side_px, closer.frames.len()), (1920, FRAMES));
+        assert_eq!(closer.frames[..3], [0, 6, 12], "every third, at two frames of the video each");
+        assert_eq!(closer.of(&(0..120).collect::<Vec<_>>())[..3], [0, 3, 6]);
+        let closer = Closer::to(&capture(8, 720, 3840, 640)).unwrap();
+        assert_eq!((closer.side_px, closer.gain, closer.frames.len()), (1800, 2.5, 8), "the person has 1600 pixels");
+    }
+
+    #[test]
+    fn a_square_is_cut_where_the_picture_has_pixels() {
+        let picture = picture(5, [10, 20, 6, 8]);
+        let cut = |square| cut(&picture, square);
+        let part = cut([11.2, 21.0, 2.5]).unwrap();
+        assert_eq!((part.x0, part.y0, part.width, part.height, part.index), (11, 21, 3, 3, 5));
+        assert_eq!(part.rgb[..3], picture.rgb[3 * 7..][..3]);
+        assert_eq!(part.mask, [255; 9]);
+        let corner = cut([4.0, 14.0, 8.0]).unwrap();
+        assert_eq!((corner.x0, corner.y0, corner.width, corner.height), (10, 20, 2, 2));
+        assert!(cut([100.0, 100.0, 5.0]).is_none());
+    }
+
+    #[test]
+    fn masks_shrink_all_round() {
+        let mut picture = picture(0, [0, 0, 7, 6]);
+        shrink(&mut picture, BLEEDING_PX);
+        let inside: Vec<usize> = (0..42).filter(|&i| picture.mask[i] == 255).collect();
+        assert_eq!(inside, [16, 17, 18, 23, 24, 25]);
+    }
+
+    #[test]
+    fn a_focal_length_that_was_found_holds_for_larger_pictures() {
+        let fitted = Camera::pinhole(100, 50, [120.0, 121.0, 50.0, 25.0]);
+        let found = Camera { fx: 132.0, fy: 133.1, cx: 51.0, translation: [0.1, 0.0, 0.0], ..fitted.clone() };
+        let large = Camera::pinhole(300, 150, [360.0, 363.0, 150.0, 75.0]);
+        let close = as_large_as(&large, &found, &fitted);
+        assert_eq!((close.width, close.height, close.translation), (300, 150, found.translation));
+        for (got, want) in [(close.fx, 396.0), (close.fy, 399.3), (close.cx, 153.0), (close.cy, 75.0)] {
+            assert!((got - want).abs() < 1e-9, "{got} {want}");
+        }
+    }
+
+    #[test]
+    fn the_texture_goes_on_with_the_heads_of_the_frames_and_all_else_stands() {
+        let body = Body::test_body();
+        let capture = capture(3, 120, 240, 90);
+        let config =
+            FitConfig { field: TextureFieldConfig { n_levels: 3, ..Default::default() }, ..FitConfig::draft(1) };
+        let poses: Vec<[f32; 72]> =
+            (0..3).map(|k| std::array::from_fn(|i| if i == 1 { 0.1 * k as f32 } else { 0.0 })).collect();
+        // The camera's y points down: upside down, and in the middle of the picture.
+        let transl = [[0.0, 0.0, 2.0]; 3];
+        let fitted = FitState::new(&body, vec![0.0; body.n_betas], &poses, &transl, config.field, 1);
+        let closer = Closer::to(&capture).unwrap();
+        let mut large = self::capture(3, 240, 240, 200);
+        large.frames.remove(1);
+        large.frames.iter_mut().for_each(|frame| *frame = picture(frame.index, [0, 0, 240, 240]));
+        let detail = Detail::new(&body, &capture, &capture.camera, &config, &fitted, &closer, large);
+        assert_eq!(detail.frames, [0, 0, 2, 2], "the second frame could not be read again");
+        let whole: Vec<(usize, u32)> = detail.whole().map(|(k, frame)| (k, frame.width)).collect();
+        assert_eq!(whole, [(0, 240), (2, 240)]);
+        let sizes: Vec<u32> = detail.capture.frames.iter().map(|frame| frame.width).collect();
+        assert!(sizes[0] < 120 && sizes[1] == 240, "a head before each whole picture: {sizes:?}");
+        assert!(detail.config.field.n_levels > 3 && detail.config.field.log2_hashmap_size == LOG2_HASHMAP_SIZE);
+        let start = detail.start(&fitted, &config);
+        assert_eq!((start.n_frames(), start.stage), (4, Stage::Texture));
+        assert_eq!((start.poses[1], start.poses[2 * N_POSE + 1]), (0.0, 0.2));
+        start.field.validate(&detail.config.field).unwrap();
+        let end =
+            Detail::end(fitted.clone(), FitState { face_colours: vec![0.25; fitted.face_colours.len()], ..start });
+        assert_eq!((end.poses, end.transl), (fitted.poses, fitted.transl));
+        assert_eq!(end.face_colours[0], 0.25);
+    }
+}

@@ -1,0 +1,48 @@
+//! What a pixel counts for the texture: the more slantingly the surface lies in it, the more of the surface it mixes, and the
+//! further it is off where the pose is.
+
+use glam::DVec3;
+
+use super::mean_colours::well_inside;
+use crate::fit::poses::PoseGroups;
+use crate::fit::scene::Scene;
+use crate::gpu::GpuError;
+use crate::ops::PixelList;
+
+/// What counts however slanting it is: some places face no camera.
+const LEAST: f64 = 0.02;
+
+/// The pixels of a frame well inside the mask, each by the square of the cosine between the face's normal and the way to the
+/// camera, as the scene's shape and poses are; one on average. Waits.
+pub fn facing_pixels(
+    scene: &Scene,
+    faces: &[[u32; 3]],
+    poses: &PoseGroups,
+    frame: usize,
+    level: usize,
+) -> Result<PixelList, GpuError> {
+    let (gpu, images) = (&scene.gpu, &scene.frames[frame].levels[level]);
+    let mut recorder = gpu.recorder("fit/facing");
+    scene.forward(&mut recorder, images, poses.at(frame));
+    recorder.submit()?;
+    let (view, pix_to_face) = (gpu.read(&scene.view)?, gpu.read(&scene.hard.pix_to_face)?);
+    let cosines: Vec<f64> = faces.iter().map(|face| cosine(&view, face)).collect();
+    let pixels: Vec<[u8; 4]> = gpu.read(&images.target)?.into_iter().map(u32::to_le_bytes).collect();
+    let of = |(inside, &face): (bool, &i32)| match cosines.get(face as usize) {
+        _ if !inside => 0.0,
+        // What the body does not cover is drawn in no colour that can be learned.
+        None => LEAST,
+        Some(cosine) => (cosine * cosine).max(LEAST),
+    };
+    let weights: Vec<f64> = well_inside(&pixels, images.width as usize).zip(&pix_to_face).map(of).collect();
+    let (n, sum) = (weights.iter().filter(|weight| **weight > 0.0).count(), weights.iter().sum::<f64>());
+    let mean = sum / n.max(1) as f64;
+    Ok(PixelList::weighted(gpu, "fit/facing", weights.into_iter().map(|weight| (weight / mean.max(LEAST)) as f32)))
+}
+
+/// Between a face's normal and the way to the camera, of points in view space.
+fn cosine(view: &[f32], face: &[u32; 3]) -> f64 {
+    let [a, b, c] = face.map(|v| DVec3::from_array([0, 1, 2].map(|k| f64::from(view[3 * v as usize + k]))));
+    let normal = (b - a).cross(c - a).normalize_or_zero();
+    normal.dot((a + b + c).normalize_or_zero()).abs()
+}
