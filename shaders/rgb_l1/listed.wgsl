@@ -1,7 +1,8 @@
-// One listed pixel an invocation: value = weight times the sum over the channels of |image - target|, and
+// One listed pixel an invocation, k its place in the list: value = weight times the sum over the channels of |image - target|, and
 // grad_image = lambda weight sign(image - target).
 #import shared/linear_index
 #import shared/rgb_difference
+#import shared/rgb_weight
 
 @group(0) @binding(0) var<uniform> params: RgbParams;
 @group(0) @binding(1) var<storage, read> image: array<f32>;
@@ -19,8 +20,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     }
     let i = pixel_index[k];
     let off = difference_at(i);
-    values[k] = weights[k] * (abs(off.x) + abs(off.y) + abs(off.z));
-    let g = params.lambda * weights[k] * sign(off);
+    let weight = weight_at(k);
+    values[k] = weight * (abs(off.x) + abs(off.y) + abs(off.z));
+    let g = params.lambda * weight * sign(off);
     grad_image[3u * i] = g.x;
     grad_image[3u * i + 1u] = g.y;
     grad_image[3u * i + 2u] = g.z;

@@ -37,7 +37,8 @@ pub fn facing_pixels(
     let weights: Vec<f64> = well_inside(&pixels, images.width as usize).zip(&pix_to_face).map(of).collect();
     let (n, sum) = (weights.iter().filter(|weight| **weight > 0.0).count(), weights.iter().sum::<f64>());
     let mean = sum / n.max(1) as f64;
-    Ok(PixelList::weighted(gpu, "fit/facing", weights.into_iter().map(|weight| (weight / mean.max(LEAST)) as f32)))
+    let weights: Vec<f32> = weights.into_iter().map(|weight| (weight / mean.max(LEAST)) as f32).collect();
+    Ok(PixelList::weighted(gpu, "fit/facing", &weights))
 }
 
 /// Between a face's normal and the way to the camera, of points in view space.

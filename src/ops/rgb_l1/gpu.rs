@@ -24,7 +24,8 @@ pub struct RgbL1 {
     backward: [[Arc<Kernel>; 2]; 2],
     // [packed]
     whole: [Arc<Kernel>; 2],
-    listed: [Arc<Kernel>; 2],
+    // [packed][weighted]
+    listed: [[Arc<Kernel>; 2]; 2],
     sum: Sum,
     values: Buffer<f32>,
 }
@@ -38,7 +39,7 @@ impl RgbL1 {
         let forward = weighted.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/forward", c)));
         let backward = weighted.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/backward", c)));
         let whole = packed.each_ref().map(|c| kernel!(gpu, "rgb_l1/whole", c));
-        let listed = packed.each_ref().map(|c| kernel!(gpu, "rgb_l1/listed", c));
+        let listed = weighted.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/listed", c)));
         Self { forward, backward, whole, listed, sum: Sum::new(gpu), values: gpu.zeros("rgb_l1/values", max_pixels) }
     }
 
@@ -110,8 +111,11 @@ impl RgbL1 {
         let packed = usize::from(target.is_packed());
         match pixels {
             Some(PixelList { index, weight, .. }) => {
+                let kernel = &self.listed[packed][usize::from(weight.is_some())];
+                // Without weights the kernel reads nothing there.
+                let weight = weight.as_ref().unwrap_or(image);
                 let buffers: [&dyn AnyBuffer; 6] = [image, seen, index, weight, values, grad_image];
-                recorder.dispatch(&self.listed[packed], &params, &buffers, linear_groups(n_rows, 64));
+                recorder.dispatch(kernel, &params, &buffers, linear_groups(n_rows, 64));
             }
             None => {
                 let groups = linear_groups(n_rows.div_ceil(4), 64);

@@ -121,7 +121,7 @@ fn listed_pixels_count_by_their_weights() {
     let target = gpu.upload("target", &target);
     let weights: Vec<f64> = noise(n, 11).iter().map(|w| w.max(0.0)).collect();
     let (loss, grad) = on_gpu(&gpu, &image, Target::Values(&target), Some(&weights), 0.5);
-    let pixels = PixelList::weighted(&gpu, "pixels", f32s(&weights));
+    let pixels = PixelList::weighted(&gpu, "pixels", &f32s(&weights));
     assert_eq!(pixels.len(), weights.iter().filter(|w| **w > 0.0).count());
     let (loss_both, grad_both) = in_one_pass(&gpu, &image, Target::Values(&target), Some(&pixels));
     assert_close("loss", &[loss_both], &[loss], 1e-5);
