@@ -3,6 +3,13 @@
 //! A fit looks at pictures that are scaled down: shape and poses gain little by more pixels and cost as many times more. A
 //! face, a print or a seam shows what it is in the uploaded ones. So in the end the texture alone goes on with these, in some of
 //! the frames. Half of them are close-ups of the head, since a whole picture gives a face few of the pixels that a step looks at.
+//!
+//! Small pictures are enlarged first. Between the places that pixels of few frames hit a texture shows whatever it likes, as specks and
+//! lines on a face; an enlarged picture says there what lies between its pixels.
+
+use image::imageops::FilterType::CatmullRom;
+use image::imageops::resize;
+use image::{GrayImage, RgbImage};
 
 use super::config::FitConfig;
 use super::state::{FitState, Stage};
@@ -16,8 +23,10 @@ use crate::ops::skinning::cpu::forward as pose_body;
 const FRAMES: usize = 40;
 /// What the longer side of a person's crop has at most, pixels.
 const MOST_PX: f64 = 1600.0;
-/// For less than this many times the fit's resolution it is not worth the while.
+/// Uploaded pictures of less than this many times the fit's resolution are not read again, larger ones of no use.
 const LEAST_GAIN: f64 = 1.25;
+/// Pictures in which the person has no more than this part of [`MOST_PX`] are enlarged by this.
+const ENLARGED: u32 = 2;
 /// Room around the head, over its size.
 const MARGIN: f32 = 1.1;
 /// Entries of a level of the texture, as a power of two: the more, the fewer places share one.
@@ -38,23 +47,32 @@ pub struct Closer {
     pub frames: Vec<u32>,
     /// The longer side of the whole picture, pixels.
     pub side_px: u32,
-    /// Pixels over those of the fit, along a side.
+    /// Pixels over those of the fit, along a side; one where the fit's own pictures are looked at again.
     pub gain: f64,
+    /// How many times larger each picture is made.
+    enlarged: u32,
 }
 
 impl Closer {
-    /// `None` where the uploaded pictures have hardly more pixels than the fit's.
+    /// `None` where there is nothing larger and nothing to enlarge.
     pub fn to(capture: &Capture) -> Option<Self> {
         let side = f64::from(capture.camera.width.max(capture.camera.height));
-        let person = capture.frames.iter().map(|frame| frame.width.max(frame.height)).max()?;
-        let gain = (f64::from(capture.uploaded_side_px) / side).min(MOST_PX / f64::from(person.max(1)));
-        if gain < LEAST_GAIN {
+        let person = f64::from(capture.frames.iter().map(|frame| frame.width.max(frame.height)).max()?.max(1));
+        let larger = (f64::from(capture.uploaded_side_px) / side).min(MOST_PX / person);
+        let gain = if larger < LEAST_GAIN { 1.0 } else { larger };
+        let enlarged = if person * gain * f64::from(ENLARGED) <= MOST_PX { ENLARGED } else { 1 };
+        if gain * f64::from(enlarged) < LEAST_GAIN {
             return None;
         }
         let (all, n) = (capture.frames.len(), capture.frames.len().min(FRAMES));
         let kept: Vec<usize> = (0..n).map(|i| i * all / n).collect();
         let frames = kept.iter().map(|&k| capture.frames[k].index).collect();
-        Some(Self { kept, frames, side_px: (side * gain).round() as u32, gain })
+        Some(Self { kept, frames, side_px: (side * gain).round() as u32, gain, enlarged })
+    }
+
+    /// The fit's own pictures of the frames, where there are no larger ones.
+    pub fn own(&self, capture: &Capture) -> Option<Capture> {
+        (self.gain == 1.0).then(|| Capture { frames: self.of(&capture.frames), ..capture.clone() })
     }
 
     /// Values a frame of the fit, for the frames that are looked at.
@@ -86,11 +104,12 @@ impl Detail {
         large: Capture,
     ) -> Self {
         let camera = as_large_as(&large.camera, camera, &capture.camera);
+        let camera = camera.scaled(camera.width * closer.enlarged, camera.height * closer.enlarged);
         let mut frames = Vec::new();
         let mut pictures = Vec::new();
         for picture in &large.frames {
             let Some(&k) = closer.kept.iter().find(|&&k| capture.frames[k].index == picture.index) else { continue };
-            let mut picture = picture.clone();
+            let mut picture = enlarge(picture, closer.enlarged);
             shrink(&mut picture, BLEEDING_PX);
             if let Some(head) = head(body, fitted, k, &camera).and_then(|square| cut(&picture, square)) {
                 frames.push(k);
@@ -205,6 +224,21 @@ fn cut(picture: &Frame, [left, top, side]: [f32; 3]) -> Option<Frame> {
     })
 }
 
+/// A picture with `times` as many pixels along each side; a mask's border lies where it lay.
+fn enlarge(picture: &Frame, times: u32) -> Frame {
+    if times == 1 {
+        return picture.clone();
+    }
+    let [x0, y0, width, height] = [picture.x0, picture.y0, picture.width, picture.height].map(|px| px * times);
+    let (from, to) = ((picture.width, picture.height), (width, height));
+    let rgb = RgbImage::from_raw(from.0, from.1, picture.rgb.clone()).map(|rgb| resize(&rgb, to.0, to.1, CatmullRom));
+    let mask =
+        GrayImage::from_raw(from.0, from.1, picture.mask.clone()).map(|mask| resize(&mask, to.0, to.1, CatmullRom));
+    let (rgb, mask) = (rgb.unwrap_or_default().into_raw(), mask.unwrap_or_default().into_raw());
+    let mask = mask.into_iter().map(|m| if m >= 128 { 255 } else { 0 }).collect();
+    Frame { x0, y0, width, height, rgb, mask, keypoints: picture.keypoints.clone(), ..*picture }
+}
+
 /// Takes the outermost pixels off a picture's mask.
 fn shrink(picture: &mut Frame, pixels: u32) {
     let (width, height) = (picture.width as usize, picture.height as usize);
@@ -246,10 +280,15 @@ mod tests {
 
     #[test]
     fn larger_pictures_are_looked_at_in_some_frames_and_up_to_a_size() {
-        assert_eq!(Closer::to(&capture(60, 360, 360, 300)), None);
-        assert_eq!(Closer::to(&capture(60, 360, 440, 300)), None, "hardly larger");
+        assert_eq!(Closer::to(&capture(60, 1080, 1080, 900)), None);
+        assert_eq!(Closer::to(&capture(60, 1080, 1300, 900)), None, "hardly larger");
+        let small = Closer::to(&capture(60, 360, 440, 300)).unwrap();
+        assert_eq!((small.side_px, small.gain, small.enlarged), (360, 1.0, 2));
+        let own = small.own(&capture(60, 360, 440, 300)).unwrap();
+        assert_eq!(own.frames.iter().map(|frame| frame.index).collect::<Vec<_>>(), small.frames);
         let closer = Closer::to(&capture(120, 720, 1920, 500)).unwrap();
-        assert_eq!((closer.side_px, closer.frames.len()), (1920, FRAMES));
+        assert_eq!((closer.side_px, closer.frames.len(), closer.enlarged), (1920, FRAMES, 1));
+        assert!(closer.own(&capture(120, 720, 1920, 500)).is_none(), "there are larger ones");
         assert_eq!(closer.frames[..3], [0, 6, 12], "every third, at two frames of the video each");
         assert_eq!(closer.of(&(0..120).collect::<Vec<_>>())[..3], [0, 3, 6]);
         let closer = Closer::to(&capture(8, 720, 3840, 640)).unwrap();
@@ -267,6 +306,20 @@ mod tests {
         let corner = cut([4.0, 14.0, 8.0]).unwrap();
         assert_eq!((corner.x0, corner.y0, corner.width, corner.height), (10, 20, 2, 2));
         assert!(cut([100.0, 100.0, 5.0]).is_none());
+    }
+
+    #[test]
+    fn an_enlarged_picture_shows_the_same_at_the_same_place() {
+        let mut picture = picture(3, [10, 20, 6, 8]);
+        picture.rgb = (0..6 * 8).flat_map(|i| [20 * (i % 6) as u8, 10 * (i / 6) as u8, 7]).collect();
+        picture.mask = (0..6 * 8).map(|i| if i % 6 < 3 { 255 } else { 0 }).collect();
+        let large = enlarge(&picture, 2);
+        assert_eq!((large.x0, large.y0, large.width, large.height, large.index), (20, 40, 12, 16, 3));
+        // A ramp goes on between the pixels, whose centres lie at 0.5, 1.5, … and now at 0.25, 0.75, …
+        let at = |x: usize, y: usize, channel: usize| i32::from(large.rgb[3 * (y * 12 + x) + channel]);
+        assert!((at(5, 6, 0) - 45).abs() <= 1 && (at(6, 6, 0) - 55).abs() <= 1, "{} {}", at(5, 6, 0), at(6, 6, 0));
+        assert!((at(5, 7, 1) - 33).abs() <= 1, "{}", at(5, 7, 1));
+        assert!((0..12 * 16).all(|i| (large.mask[i] == 255) == (i % 12 < 6)));
     }
 
     #[test]
@@ -307,9 +360,9 @@ mod tests {
         let detail = Detail::new(&body, &capture, &capture.camera, &config, &fitted, &closer, large);
         assert_eq!(detail.frames, [0, 0, 2, 2], "the second frame could not be read again");
         let whole: Vec<(usize, u32)> = detail.whole().map(|(k, frame)| (k, frame.width)).collect();
-        assert_eq!(whole, [(0, 240), (2, 240)]);
+        assert_eq!(whole, [(0, 480), (2, 480)], "enlarged");
         let sizes: Vec<u32> = detail.capture.frames.iter().map(|frame| frame.width).collect();
-        assert!(sizes[0] < 120 && sizes[1] == 240, "a head before each whole picture: {sizes:?}");
+        assert!(sizes[0] < 240 && sizes[1] == 480, "a head before each whole picture: {sizes:?}");
         assert!(detail.config.field.n_levels > 3 && detail.config.field.log2_hashmap_size == LOG2_HASHMAP_SIZE);
         let start = detail.start(&fitted, &config);
         assert_eq!((start.n_frames(), start.stage), (4, Stage::Texture));

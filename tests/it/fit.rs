@@ -312,7 +312,7 @@ fn a_texture_goes_on_with_the_uploaded_pictures_where_they_are_larger() {
 
     let out = folder.path().join("out");
     let report: serde_json::Value = serde_json::from_slice(&std::fs::read(out.join("report.json")).unwrap()).unwrap();
-    assert_eq!(report["detail"], serde_json::json!({ "side_px": 96, "frames": 12 }));
+    assert_eq!(report["detail"], serde_json::json!({ "side_px": 192, "frames": 12 }));
     let detailed = AvatarModel::load(&out.join("model.npz")).unwrap();
     assert_eq!(detailed.poses.len(), 12);
     assert_eq!(

@@ -108,10 +108,16 @@ fn look_closer(
     state: &FitState,
 ) -> Result<Option<Detail>, PipelineError> {
     let Some(closer) = Closer::to(capture).filter(|_| config.detail) else { return Ok(None) };
-    let mut large = Capture::load_frames(&input.capture_inputs(), &closer.frames, closer.side_px)?;
-    let offsets = closer.of(&quality::edge_offsets(measures)).into_iter();
-    let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * closer.gain)).collect();
-    quality::settle_masks(&mut large, &offsets);
+    let large = match closer.own(capture) {
+        Some(own) => own,
+        None => {
+            let mut large = Capture::load_frames(&input.capture_inputs(), &closer.frames, closer.side_px)?;
+            let offsets = closer.of(&quality::edge_offsets(measures)).into_iter();
+            let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * closer.gain)).collect();
+            quality::settle_masks(&mut large, &offsets);
+            large
+        }
+    };
     Ok(Some(Detail::new(body, capture, camera, config, state, &closer, large)))
 }
 
