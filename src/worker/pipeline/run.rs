@@ -88,10 +88,12 @@ pub fn run(
         let begun = resumed(detail.start(&state, &config), &detailed);
         monitor.go_on_with(&detailed);
         monitor.preview_from(&body, &capture, &start.camera, &detail.config, &begun);
-        let (pictures, camera) = (&detail.capture, &detail.camera);
+        let (pictures, camera, n_losses) = (&detail.capture, &detail.camera, monitor.curves.len());
         let ended = fit::run(gpu, &body, pictures, camera, &detail.config, begun, &detailed, &mut monitor);
         state = Detail::end(state, ended.map_err(|e| from_fit(e, monitor.stopped))?);
         config.field = detail.config.field;
+        // Sums over other pictures are no part of the same curves.
+        monitor.curves.truncate(n_losses);
     }
     let done = export::Fitted { body, capture, measures, focal_ratio, start, state, covered, skirt, detail, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)
