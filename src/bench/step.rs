@@ -55,8 +55,8 @@ impl StepBench {
         let state =
             FitState::new(body, vec![0.0; body.n_betas], &poses, &vec![transl; n_frames], config.field, config.seed);
         let capture = Capture {
+            uploaded_side_px: person.camera.width.max(person.camera.height),
             camera: person.camera,
-            uploaded_side_px: 0,
             camera_estimated: false,
             fps: 30.0,
             frames: (0..n_frames as u32).map(|index| Frame { index, ..frame.clone() }).collect(),

@@ -132,7 +132,7 @@ pub struct FitConfig {
     pub skirts: bool,
     /// Whether the body loses toes and ears that shoes and hair cover ([`super::covered`]).
     pub covered: bool,
-    /// Whether the texture goes on with the uploaded pictures in the end, where those are larger ([`super::detail`]).
+    /// Whether the texture goes on with larger pictures and close-ups of the head in the end ([`super::detail`]).
     pub detail: bool,
     pub rates: Rates,
     /// Stage 1, with one colour a face.
@@ -253,7 +253,7 @@ impl FitConfig {
         self
     }
 
-    /// Some last passes with the texture alone, on pictures of a higher resolution ([`super::detail`]).
+    /// Some last passes with the texture alone, on larger pictures ([`super::detail`]).
     pub fn detailed(self) -> Self {
         let mut config = self.texture_alone();
         config.texture.phases.iter_mut().for_each(|phase| phase.epochs = DETAIL);

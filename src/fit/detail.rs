@@ -12,6 +12,7 @@ use image::imageops::resize;
 use image::{GrayImage, RgbImage};
 
 use super::config::FitConfig;
+use super::look::well_inside;
 use super::state::{FitState, Stage};
 use crate::body::{Body, N_JOINTS};
 use crate::camera::Camera;
@@ -72,7 +73,16 @@ impl Closer {
 
     /// The fit's own pictures of the frames, where there are no larger ones.
     pub fn own(&self, capture: &Capture) -> Option<Capture> {
-        (self.gain == 1.0).then(|| Capture { frames: self.of(&capture.frames), ..capture.clone() })
+        (self.gain == 1.0).then(|| Capture {
+            camera: capture.camera.clone(),
+            uploaded_side_px: capture.uploaded_side_px,
+            camera_estimated: capture.camera_estimated,
+            fps: capture.fps,
+            frames: self.of(&capture.frames),
+            keypoint_format: capture.keypoint_format.clone(),
+            poses: None,
+            warnings: Vec::new(),
+        })
     }
 
     /// Values a frame of the fit, for the frames that are looked at.
@@ -185,12 +195,23 @@ fn cell(body: &Body, fitted: &FitState, camera: &Camera) -> f64 {
 fn head(body: &Body, fitted: &FitState, k: usize, camera: &Camera) -> Option<[f32; 3]> {
     let (pose, offsets) = (&fitted.poses[k * N_POSE..][..N_POSE], fitted.offsets.as_chunks().0);
     let posed = pose_body(body, &fitted.betas, Some(offsets), pose, fitted.transl.as_chunks().0[k]);
-    let (view, screen) = project(camera, &posed.vertices);
+    square_around(camera, &posed.vertices, |v| body.weight_of(v, |j| j == HEAD) > 0.5, MARGIN)
+}
+
+/// The square around the vertices of which `part` holds as the camera sees them, `margin` times as large as they need: left, top,
+/// side; pixels of the whole image. `None` where none of them is before the camera.
+pub fn square_around(
+    camera: &Camera,
+    vertices: &[[f32; 3]],
+    part: impl Fn(usize) -> bool,
+    margin: f32,
+) -> Option<[f32; 3]> {
+    let (view, screen) = project(camera, vertices);
     let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-    for v in (0..view.len()).filter(|&v| view[v][2] > 0.1 && body.weight_of(v, |j| j == HEAD) > 0.5) {
+    for v in (0..view.len()).filter(|&v| view[v][2] > 0.1 && part(v)) {
         (0..2).for_each(|i| (low[i], high[i]) = (low[i].min(screen[v][i]), high[i].max(screen[v][i])));
     }
-    let side = MARGIN * (high[0] - low[0]).max(high[1] - low[1]);
+    let side = margin * (high[0] - low[0]).max(high[1] - low[1]);
     side.is_finite().then(|| [0.5 * (low[0] + high[0] - side), 0.5 * (low[1] + high[1] - side), side])
 }
 
@@ -241,16 +262,10 @@ fn enlarge(picture: &Frame, times: u32) -> Frame {
 
 /// Takes the outermost pixels off a picture's mask.
 fn shrink(picture: &mut Frame, pixels: u32) {
-    let (width, height) = (picture.width as usize, picture.height as usize);
     for _ in 0..pixels {
-        let before = picture.mask.clone();
-        let inside = |x: usize, y: usize| x < width && y < height && before[y * width + x] >= 128;
-        for (i, mask) in picture.mask.iter_mut().enumerate() {
-            let (x, y) = (i % width, i / width);
-            let around =
-                inside(x.wrapping_sub(1), y) && inside(x + 1, y) && inside(x, y.wrapping_sub(1)) && inside(x, y + 1);
-            *mask = if *mask >= 128 && around { 255 } else { 0 };
-        }
+        let before: Vec<[u8; 4]> = picture.mask.iter().map(|&mask| [0, 0, 0, mask]).collect();
+        let inside = well_inside(&before, picture.width as usize);
+        picture.mask = inside.map(|inside| if inside { 255 } else { 0 }).collect();
     }
 }
 

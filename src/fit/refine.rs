@@ -44,7 +44,7 @@ pub fn refine_pose(
     let config = &frozen(config);
     let capture = Capture {
         camera: camera.clone(),
-        uploaded_side_px: 0,
+        uploaded_side_px: camera.width.max(camera.height),
         camera_estimated: false,
         fps: 1.0,
         frames: vec![picture],

@@ -12,7 +12,7 @@ mod unseen;
 
 pub use faces::FaceColours;
 pub use lit::Lit;
-pub use mean_colours::solve_face_colours;
+pub use mean_colours::{solve_face_colours, well_inside};
 pub use shadows::cast_shadows;
 pub use texture::Texture;
 

@@ -126,6 +126,7 @@ impl Texture {
         };
         let texels = state.texels.as_ref();
         let coords = texels.map_or(state.texcoords.clone(), |t| t.uvs.iter().flat_map(|&[u, v]| [u, v, 0.0]).collect());
+        // A random sample may be a little larger than is expected of it.
         let listed = n.min(config.most_pixels.map_or(MAX_LISTED, |most| most * 5 / 4).min(MAX_LISTED));
         let capacity = listed.max(n_faces);
         Ok(Self {

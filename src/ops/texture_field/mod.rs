@@ -207,8 +207,8 @@ impl TextureFieldParams {
 
 impl TextureFieldParams {
     /// The same field with more room, `from` being its sizes and `to` those of [`TextureFieldConfig::refined`]: what it
-    /// shows is the same, but in the cube's outermost cells, whose far points wrap round. Points that shared an entry have one each; levels that are new start at random and
-    /// count for nothing until they are learned.
+    /// shows is the same, but in the cube's outermost cells, whose far points wrap round. Points that shared an entry have one
+    /// each; levels that are new start at random and count for nothing until they are learned.
     ///
     /// # Panics
     /// When `to` is not refined from `from`.

@@ -7,6 +7,7 @@ use super::PipelineError;
 use crate::avatar::{AvatarModel, Background, Posed, RenderSpec, Renderer, view_space};
 use crate::camera::Camera;
 use crate::capture::Frame;
+use crate::fit::detail::square_around;
 use crate::page::{inline_jpeg, over, strip};
 
 /// Side of a picture.
@@ -92,14 +93,8 @@ fn square(model: &AvatarModel, camera: &Camera, posed: &Posed<f32>, joints: &[us
         let most = (0..of.len()).max_by(|a, b| weights[*a].total_cmp(&weights[*b]));
         most.is_some_and(|most| joints.contains(&(of[most] as usize)))
     };
-    let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-    let seen = view_space(&posed.vertices, camera);
-    for (_, [x, y, z]) in seen.iter().enumerate().filter(|(v, p)| p[2] > 0.1 && follows(*v)) {
-        let at = [camera.fx as f32 * x / z + camera.cx as f32, camera.fy as f32 * y / z + camera.cy as f32];
-        (0..2).for_each(|k| (low[k], high[k]) = (low[k].min(at[k]), high[k].max(at[k])));
-    }
-    let side = MARGIN * (high[0] - low[0]).max(high[1] - low[1]);
-    side.is_finite().then(|| [0.5 * (low[0] + high[0] - side), 0.5 * (low[1] + high[1] - side), side.max(4.0)])
+    let [left, top, side] = square_around(camera, &posed.vertices, follows, MARGIN)?;
+    Some([left, top, side.max(4.0)])
 }
 
 /// The part of a frame, resampled; white where the frame has no pixels.

@@ -36,7 +36,7 @@ pub(super) struct Fitted {
     pub covered: Covered,
     /// What the person wears, where it hangs from leg to leg; `body` and `state` carry it.
     pub skirt: Option<Skirt>,
-    /// What the texture went on with, where the uploaded pictures are larger than the fit's.
+    /// What the texture went on with in the end.
     pub detail: Option<Detail>,
     pub config: FitConfig,
 }
