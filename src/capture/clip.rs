@@ -81,6 +81,12 @@ impl Capture {
         Self::of(Clip::open(inputs, false, Instant::now() + LOAD_TIME)?, &kept, max_side_px)
     }
 
+    /// Makes the focal length the guess that it is where no camera came with a clip.
+    pub fn forget_focal(&mut self) {
+        let guess = calibration::guess(self.camera.width, self.camera.height);
+        (self.camera.fx, self.camera.fy, self.camera_estimated) = (guess.fx, guess.fy, true);
+    }
+
     fn of(mut clip: Clip, kept: &[usize], max_side_px: u32) -> Result<Self, CaptureError> {
         let mut rectify = None;
         let mut frames = Vec::with_capacity(kept.len());

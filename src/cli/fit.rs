@@ -43,6 +43,9 @@ pub struct Args {
     /// The person's height, metres: one camera cannot tell it.
     #[arg(long)]
     height_m: Option<f64>,
+    /// Fit with the given focal length even where the clip contradicts it.
+    #[arg(long)]
+    trust_camera: bool,
     /// Side of the baked texture: 2048 or 4096.
     #[arg(long, default_value_t = 2048)]
     texture_px: u32,
@@ -95,6 +98,7 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
         body: args.body.clone(),
         seed: args.seed,
         height_m: args.height_m,
+        trust_camera: args.trust_camera,
         texture_px: args.texture_px,
         ..JobOptions::default()
     };

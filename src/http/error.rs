@@ -218,7 +218,7 @@ pub(super) fn example(status: u16) -> Option<serde_json::Value> {
         400 => ApiError::Malformed {
             detail: words("unknown field `presett`"),
             part: Some(words("options.presett")),
-            expected: Some(words("preset, max_frames, max_side_px, body, seed, height_m, texture_px")),
+            expected: Some(words("preset, max_frames, max_side_px, body, seed, height_m, trust_camera, texture_px")),
         },
         401 => ApiError::Unauthorized(words("the key is unknown, expired or revoked")),
         403 => ApiError::Forbidden(words("the key \"viewer\" lacks the scope \"write\"")),

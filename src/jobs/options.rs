@@ -42,6 +42,10 @@ pub struct JobOptions {
     /// height of adults, 1.65 m, decides.
     #[schema(minimum = 0.5, maximum = 2.5)]
     pub height_m: Option<f64>,
+    /// Fit with the given focal length even where the clip contradicts it. Without this, one that is more than 13 % off what the clip
+    /// tells is replaced by that; either way the report says so (`focal_contradicted`).
+    #[schema(default = false)]
+    pub trust_camera: bool,
     /// Side of the baked texture: 2048 or 4096.
     #[schema(default = 2048)]
     pub texture_px: u32,
@@ -62,6 +66,7 @@ impl Default for JobOptions {
             body: "default".into(),
             seed: 0,
             height_m: None,
+            trust_camera: false,
             texture_px: 2048,
             priority: 0,
             deadline_secs: None,

@@ -12,15 +12,21 @@ const BELOW_MEDIAN: f64 = 0.04;
 /// Field of view along the longer side: from a phone's tele lens to its widest one.
 const VIEWS_DEGREES: [f64; 2] = [15.0, 110.0];
 
-/// Stage 0 finds focal lengths to some 7 %.
-const FOCAL_OFF: f64 = 1.13;
-
 /// A height is guessed between what proportions tell and what people usually have, so a guess that lies this far from the
 /// usual means a person much farther from it, metres.
 const HEIGHT_OFF_M: f64 = 0.06;
 
 /// So near, in parts of the person's height, perspective makes pictures of other poses worse (docs/filming.md).
 const NEAR: f64 = 1.0;
+
+/// A focal length that came with a clip and is not the one that the clip tells.
+#[derive(Clone, Copy, Debug)]
+pub struct ContradictedFocal {
+    pub given_px: f64,
+    /// What the clip tells, over the given one, and how far from 1 it may lie, as a factor above it
+    pub ratio: f64,
+    pub limit: f64,
+}
 
 /// What is known at the end of a fit.
 #[derive(Clone, Debug)]
@@ -37,8 +43,7 @@ pub struct FitFindings<'a> {
     pub camera_estimated: bool,
     /// `[N]` from the camera to the pelvis, in heights of the undressed body: what one camera can tell of distance
     pub distances: &'a [f64],
-    /// The focal length that stage 0 finds when it is free to, over the given one.
-    pub focal_ratio: Option<f64>,
+    pub contradicted_focal: Option<ContradictedFocal>,
     /// The undressed body's height where it was guessed, and what it is expected to be, metres
     pub guessed_height_m: Option<f64>,
     pub usual_height_m: f64,
@@ -96,19 +101,21 @@ fn focal(found: &FitFindings<'_>) -> Option<Flag> {
         return Some(Flag::of_clip(Kind::FocalSuspicious, message, view, limit));
     }
     let message = format!("no focal length was given; {focal:.0} px were found");
-    found.camera_estimated.then(|| Flag::of_clip(Kind::FocalEstimated, message, focal, 0.0))
+    (found.camera_estimated && found.contradicted_focal.is_none())
+        .then(|| Flag::of_clip(Kind::FocalEstimated, message, focal, 0.0))
 }
 
 fn focal_contradicted(found: &FitFindings<'_>) -> Option<Flag> {
-    let ratio = found.focal_ratio?;
-    let limit = if ratio < 1.0 { 1.0 / FOCAL_OFF } else { FOCAL_OFF };
-    let message = format!(
-        "the clip looks like one of a focal length of {:.0} px, not of the given {:.0}",
-        ratio * found.camera.fx,
-        found.camera.fx
-    );
-    let off = !(1.0 / FOCAL_OFF..=FOCAL_OFF).contains(&ratio);
-    off.then(|| Flag::of_clip(Kind::FocalContradicted, message, ratio, limit))
+    let ContradictedFocal { given_px, ratio, limit } = found.contradicted_focal?;
+    let limit = if ratio < 1.0 { 1.0 / limit } else { limit };
+    let told = ratio * given_px;
+    let taken = match found.camera_estimated {
+        true => format!("it was fitted with {:.0} px", found.camera.fx),
+        false => "it was fitted with that, as `trust_camera` asks".to_owned(),
+    };
+    let message =
+        format!("the clip looks like one of a focal length of {told:.0} px, not of the given {given_px:.0}; {taken}");
+    Some(Flag::of_clip(Kind::FocalContradicted, message, ratio, limit))
 }
 
 fn height_unusual(found: &FitFindings<'_>) -> Option<Flag> {
@@ -184,7 +191,7 @@ mod tests {
             camera: &camera,
             camera_estimated: false,
             distances: &[1.7; 40],
-            focal_ratio: Some(0.95),
+            contradicted_focal: None,
             guessed_height_m: Some(1.68),
             usual_height_m: 1.65,
             hem: None,
@@ -197,9 +204,13 @@ mod tests {
         assert!((flags[0].value - 204.0).abs() < 2.0, "{}", flags[0].value);
         assert_eq!((flags[2].frames.as_slice(), flags[2].value), (&[20, 21][..], 0.05));
         assert_eq!((flags[3].frames.as_slice(), flags[3].value), (&[3, 9][..], 0.5));
-        let flags = fit_flags(&FitFindings { focal_ratio: Some(1.4), ..good.clone() });
-        assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("focal_contradicted", 1.4)]);
-        assert!(flags[0].message.contains("980 px") && flags[0].message.contains("given 700"), "{}", flags[0].message);
+        for (estimated, taken) in [(true, "fitted with 700 px"), (false, "trust_camera")] {
+            let contradicted_focal = Some(ContradictedFocal { given_px: 500.0, ratio: 1.4, limit: 1.13 });
+            let flags = fit_flags(&FitFindings { contradicted_focal, camera_estimated: estimated, ..good.clone() });
+            assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("focal_contradicted", 1.4)]);
+            let message = &flags[0].message;
+            assert!(["700 px", "given 500", taken].iter().all(|part| message.contains(part)), "{message}");
+        }
         for (height, word) in [(1.57, "small"), (1.73, "tall")] {
             let flags = fit_flags(&FitFindings { guessed_height_m: Some(height), ..good.clone() });
             assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("height_unusual", height)]);

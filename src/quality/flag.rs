@@ -154,8 +154,8 @@ impl Kind {
                  for such a view."
             }
             Kind::FocalContradicted => {
-                "Check the focal length: it belongs to the size of these very images, in pixels; leave the camera away where \
-                 it is not known, and it is found."
+                "Check the focal length: it belongs to the size of these very images, in pixels. One that the clip contradicts \
+                 is replaced by the one that the clip tells, unless the job's options say `trust_camera`."
             }
             Kind::HeightUnusual => {
                 "Give the person's height (`height_m`): one camera cannot measure it, and with it the body's proportions come out \

@@ -174,24 +174,32 @@ fn previews_show_the_avatar_emerge(previews: &[Preview]) {
 }
 
 #[test]
-fn a_wrong_focal_length_is_told() {
-    let Some(gpu) = gpu("a_wrong_focal_length_is_told") else { return };
+fn a_wrong_focal_length_is_told_and_replaced() {
+    let Some(gpu) = gpu("a_wrong_focal_length_is_told_and_replaced") else { return };
     let folder = tempfile::tempdir().unwrap();
     let mut input = input(clip(&gpu));
     let mut camera: serde_json::Value =
         serde_json::from_slice(&std::fs::read(input.camera.as_ref().unwrap()).unwrap()).unwrap();
+    let right = camera["fx"].as_f64().unwrap();
     for name in ["fx", "fy"] {
         camera[name] = (0.6 * camera[name].as_f64().unwrap()).into();
     }
     let wrong = folder.path().join("camera.json");
     std::fs::write(&wrong, camera.to_string()).unwrap();
     input.camera = Some(wrong);
-    run(&gpu, &input, folder.path(), &mut Witness::default()).unwrap();
-    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
-    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
-    let flags = report["quality"]["flags"].as_array().unwrap();
-    let flag = flags.iter().find(|f| f["code"] == "focal_contradicted").unwrap();
-    assert!((flag["value"].as_f64().unwrap() * 0.6 - 1.0).abs() < 0.2, "{flag:#}");
+    for trust in [false, true] {
+        input.options.trust_camera = trust;
+        run(&gpu, &input, folder.path(), &mut Witness::default()).unwrap();
+        let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+        let flags = report["quality"]["flags"].as_array().unwrap();
+        let flag = flags.iter().find(|f| f["code"] == "focal_contradicted").unwrap();
+        assert!((flag["value"].as_f64().unwrap() * 0.6 - 1.0).abs() < 0.2, "{flag:#}");
+        assert_eq!(flag["message"].as_str().unwrap().contains("trust_camera"), trust, "{flag:#}");
+        assert_eq!(report["camera_estimated"], !trust);
+        let (taken, expected) = (report["camera"]["fx"].as_f64().unwrap(), if trust { 0.6 * right } else { right });
+        assert!((taken / expected - 1.0).abs() < if trust { 1e-6 } else { 0.2 }, "{taken} px, expected {expected}");
+    }
 }
 
 #[test]

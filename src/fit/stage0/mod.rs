@@ -13,6 +13,7 @@
 
 mod contour;
 mod expectation;
+mod focal;
 mod known;
 mod landmarks;
 mod minimise;
@@ -37,6 +38,7 @@ mod tracks;
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::Capture;
+pub use focal::{FOCAL_OFF, FocalCheck};
 use minimise::minimise;
 pub use prior::ADULT_STATURE;
 use problem::{Problem, Scales};

@@ -9,7 +9,7 @@ use super::silhouette::{Field, Grid};
 use super::state::{Frame as Pose, Layout, Shared, State, Step};
 use super::synthetic::{self, Clip, Difficulty, Errors, clip, errors};
 use super::tracks::Sighting;
-use super::{Stage0Error, Stage0Options, Stage0Result, solve};
+use super::{FocalCheck, Stage0Error, Stage0Options, Stage0Result, solve};
 use crate::body::Body;
 use crate::capture::KnownPoses;
 
@@ -87,6 +87,22 @@ fn unknown_focal_length() {
     assert!((2.2..3.8).contains(&depth), "{depth}");
     let ratio = result.camera.fx / (clip.capture.camera.fx / 1.2);
     assert!((0.85..1.25).contains(&ratio), "{ratio}");
+}
+
+#[test]
+fn a_focal_length_that_the_clip_contradicts() {
+    let (body, how) = (Body::test_body(), Difficulty { seed: 10, ..Difficulty::default() });
+    for (wrong, contradicted) in [(1.0, false), (0.6, true), (1.6, true)] {
+        let mut capture = clip(&body, &how).capture;
+        let right = capture.camera.fx;
+        (capture.camera.fx, capture.camera.fy) = (wrong * right, wrong * right);
+        let check = FocalCheck::of(&body, &capture, &mut || true).unwrap();
+        assert_eq!((check.given_px, check.contradicts()), (wrong * right, contradicted), "{wrong}: {check:?}");
+        assert!((check.ratio * wrong - 1.0).abs() < 0.2, "{wrong}: {check:?}");
+        capture.forget_focal();
+        assert_eq!(FocalCheck::of(&body, &capture, &mut || true), None, "a guess contradicts nothing");
+    }
+    assert_eq!(FocalCheck::of(&body, &clip(&body, &how).capture, &mut || false), None, "stopped");
 }
 
 #[test]

@@ -72,7 +72,7 @@ fn camera() -> Value {
 fn options() -> Value {
     json!({
         "preset": "standard", "max_frames": 120, "max_side_px": null, "body": "default", "seed": 0, "height_m": 1.78,
-        "texture_px": 2048, "priority": 0, "deadline_secs": null,
+        "trust_camera": false, "texture_px": 2048, "priority": 0, "deadline_secs": null,
     })
 }
 

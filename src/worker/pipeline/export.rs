@@ -17,7 +17,7 @@ use crate::capture::Capture;
 use crate::fit::covered::Covered;
 use crate::fit::detail::Detail;
 use crate::fit::skirt::Skirt;
-use crate::fit::stage0::Stage0Result;
+use crate::fit::stage0::{FocalCheck, Stage0Result};
 use crate::fit::{FitConfig, FitState};
 use crate::gpu::Gpu;
 use crate::quality::FrameMeasures;
@@ -28,8 +28,8 @@ pub(super) struct Fitted {
     pub capture: Capture,
     /// Of the clip as it came.
     pub measures: Vec<FrameMeasures>,
-    /// See [`FitFindings::focal_ratio`](crate::quality::FitFindings::focal_ratio).
-    pub focal_ratio: Option<f64>,
+    /// What the clip says of the camera that came with it.
+    pub focal: Option<FocalCheck>,
     pub start: Stage0Result,
     pub state: FitState,
     /// What shoes and hair cover; `body` has lost it.

@@ -3,8 +3,8 @@
 use super::export::Fitted;
 use super::score::FrameScore;
 use crate::avatar::{AvatarModel, view_space};
-use crate::fit::stage0::ADULT_STATURE;
-use crate::quality::{self, FitFindings, Flag, FrameMeasures, SurfaceCheck};
+use crate::fit::stage0::{ADULT_STATURE, FOCAL_OFF, FocalCheck};
+use crate::quality::{self, ContradictedFocal, FitFindings, Flag, FrameMeasures, SurfaceCheck};
 
 /// What was wrong with the clip and with what came of it.
 #[derive(serde::Serialize)]
@@ -29,7 +29,7 @@ impl<'a> Quality<'a> {
             camera: &model.camera,
             camera_estimated: fitted.capture.camera_estimated,
             distances: &distances,
-            focal_ratio: fitted.focal_ratio,
+            contradicted_focal: fitted.focal.filter(FocalCheck::contradicts).map(contradicted),
             guessed_height_m: fitted.start.report.guessed_height_m,
             usual_height_m: ADULT_STATURE,
             hem: fitted.skirt.map(|skirt| f64::from(skirt.hem)),
@@ -41,6 +41,10 @@ impl<'a> Quality<'a> {
         flags.sort_by_key(|flag| quality::KINDS.iter().position(|kind| kind.code() == flag.code));
         Self { flags, frames: &fitted.measures, surface }
     }
+}
+
+fn contradicted(check: FocalCheck) -> ContradictedFocal {
+    ContradictedFocal { given_px: check.given_px, ratio: check.ratio, limit: FOCAL_OFF }
 }
 
 /// `[N]` from the camera to the pelvis, over the height of the `undressed` body, `[V, 3]`.

@@ -11,11 +11,11 @@ use super::preview::Previews;
 use super::{Observer, Outcome, PipelineError, PipelineInput, Preview, Progress, Stage, StopReason, export};
 use crate::body::Body;
 use crate::camera::Camera;
-use crate::capture::{Capture, CaptureOptions, Frame};
+use crate::capture::{Capture, CaptureOptions};
 use crate::fit::covered::Covered;
 use crate::fit::detail::{Closer, Detail};
 use crate::fit::skirt::Skirt;
-use crate::fit::stage0::{self, Stage0Error, Stage0Options, Stage0Result};
+use crate::fit::stage0::{self, FocalCheck, Stage0Error, Stage0Options, Stage0Result};
 use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
 use crate::gpu::Gpu;
 use crate::jobs::{JobOptions, Preset};
@@ -54,8 +54,8 @@ pub fn run(
     let measures = quality::measure(&capture);
     quality::settle_masks(&mut capture, &quality::edge_offsets(&measures));
     monitor.start(Stage::Pose)?;
+    let focal = settle_focal(&body, &mut capture, &input.options, &mut monitor);
     let start = solve_poses(&body, &capture, &input.options, &mut monitor)?;
-    let focal_ratio = focal_ratio(&body, &capture, &mut monitor);
     start.reread(&mut capture);
     let covered = if config.covered { Covered::find(&body, &capture, &start) } else { Covered::default() };
     covered.even_out(&mut body, &start.betas);
@@ -95,7 +95,7 @@ pub fn run(
         // Sums over other pictures are no part of the same curves.
         monitor.curves.truncate(n_losses);
     }
-    let done = export::Fitted { body, capture, measures, focal_ratio, start, state, covered, skirt, detail, config };
+    let done = export::Fitted { body, capture, measures, focal, start, state, covered, skirt, detail, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)
 }
 
@@ -185,35 +185,19 @@ fn solve_poses(
     })
 }
 
-/// Frames that tell the focal length well enough.
-const FOCAL_FRAMES: usize = 24;
-
-/// What stage 0 makes of the focal length when it is not bound to the given one, over that one: a wrong one shifts the whole
-/// person in depth, and nothing else would tell. `None` where none was given, where poses were, or where nothing is found.
-fn focal_ratio(body: &Body, capture: &Capture, monitor: &mut Monitor<'_>) -> Option<f64> {
-    if capture.camera_estimated || capture.poses.is_some() {
-        return None;
+/// Asks the clip for its focal length. Where that contradicts the given one, it is found as if none had been given: a wrong one
+/// shifts the whole person in depth and bends the body.
+fn settle_focal(
+    body: &Body,
+    capture: &mut Capture,
+    options: &JobOptions,
+    monitor: &mut Monitor<'_>,
+) -> Option<FocalCheck> {
+    let check = FocalCheck::of(body, capture, &mut || monitor.go_on())?;
+    if check.contradicts() && !options.trust_camera {
+        capture.forget_focal();
     }
-    let (all, kept) = (capture.frames.len(), capture.frames.len().min(FOCAL_FRAMES));
-    // Stage 0 looks at masks and keypoints.
-    let thin = |frame: &Frame| Frame {
-        rgb: Vec::new(),
-        mask: frame.mask.clone(),
-        keypoints: frame.keypoints.clone(),
-        ..*frame
-    };
-    let free = Capture {
-        camera: capture.camera.clone(),
-        uploaded_side_px: capture.uploaded_side_px,
-        camera_estimated: true,
-        fps: capture.fps,
-        frames: (0..kept).map(|i| thin(&capture.frames[i * all / kept])).collect(),
-        keypoint_format: capture.keypoint_format.clone(),
-        poses: None,
-        warnings: Vec::new(),
-    };
-    let found = stage0::solve(body, &free, &Stage0Options::default(), &mut |_| monitor.go_on()).ok()?;
-    Some(found.camera.fx / capture.camera.fx)
+    Some(check)
 }
 
 fn from_fit(error: FitError, stopped: Option<StopReason>) -> PipelineError {
