@@ -17,8 +17,9 @@ use crate::ops::Topology;
 
 /// Numbers of a pose
 const N_POSE: usize = 3 * N_JOINTS;
-/// Thighs and shanks: left, right.
-const CARRYING: [[usize; 2]; 2] = [[1, 2], [4, 5]];
+/// Joints of both legs, left and right.
+const THIGHS: [usize; 2] = [1, 2];
+const SHANKS: [usize; 2] = [4, 5];
 
 /// Heights that are looked at, between hip (0) and ankle (1).
 const ROWS: usize = 48;
@@ -76,11 +77,16 @@ impl Skirt {
     pub fn tailor(&self, body: &mut Body, state: &mut FitState) {
         self.fill(body, state, Outline::stretched, ROUNDS);
         let seam = self.cut(body, state);
-        // Without walls the cloth between the legs is a front and a back, which go all the way.
+        self.close(body, state, &seam);
+    }
+
+    /// Makes a front and a back of what the cut has left, without walls between them: they go all the way. Sewn first, since the
+    /// halves of a pair may lie at different depths, of which only one would go to the front.
+    fn close(&self, body: &mut Body, state: &mut FitState, seam: &[[usize; 2]]) {
+        sew(body, state, seam);
         self.fill(body, state, Outline::outermost, 0);
         self.tuck(body, state);
         self.hang(body, state);
-        sew(body, state, &seam);
     }
 
     /// Brings the surface between the legs out to where cloth would hang that touches both, in front and behind: `goes` tells
@@ -158,15 +164,19 @@ impl Skirt {
         heights.filter_map(|along| Some((along, Outline::of(&standing.section(along))?))).collect()
     }
 
-    /// Lets both legs carry the cloth between them, each the more the nearer it is; what hangs beyond a leg goes with that one.
-    /// The surface of the clip's mean pose stays.
+    /// Lets both thighs carry the cloth, between them each the more the nearer it is; what hangs beyond a leg goes with that one. No knee
+    /// bends it. The surface of the clip's mean pose stays.
     fn hang(&self, body: &mut Body, state: &mut FitState) {
         let standing = Standing::new(body, state, &state.offsets);
         for v in (0..body.n_vertices()).filter(|&v| !standing.of_arm[v]) {
             let place = standing.place(v);
             let hanging = self.weight(place.y) * smooth((place.y + FADE_ABOVE) / FADE_ABOVE);
             let mut weights = weights(body, v);
-            for [left, right] in CARRYING {
+            for (thigh, shank) in THIGHS.into_iter().zip(SHANKS) {
+                let hangs = hanging * weights[shank];
+                (weights[thigh], weights[shank]) = (weights[thigh] + hangs, weights[shank] - hangs);
+            }
+            for [left, right] in [THIGHS, SHANKS] {
                 let both = weights[left] + weights[right];
                 if both > 0.0 {
                     let share = weights[left] / both;
@@ -342,6 +352,32 @@ mod tests {
     }
 
     #[test]
+    fn knees_do_not_bend_a_long_skirt() {
+        let mut body = Body::test_body();
+        let mut state = standing(&body);
+        let skirt = Skirt { hem: 0.8 };
+        let before = Standing::new(&body, &state, &state.offsets);
+        let moved_by_knees = |body: &Body, state: &FitState| {
+            let pose = |knees: f32| {
+                let mut pose = [0.0; N_POSE];
+                (pose[12], pose[15]) = (knees, knees);
+                forward(body, &state.betas, Some(state.offsets.as_chunks().0), &pose, [0.0; 3]).vertices
+            };
+            let (straight, bent) = (pose(0.0), pose(0.8));
+            let hangs = |v: &usize| {
+                let place = before.place(*v);
+                (0.55..skirt.hem - FADE).contains(&place.y) && !before.of_arm[*v]
+            };
+            let hanging = (0..body.n_vertices()).filter(hangs);
+            hanging.map(|v| Vec3::from(straight[v]).distance(bent[v].into())).fold(0.0, f32::max)
+        };
+        assert!(moved_by_knees(&body, &state) > 0.05);
+        skirt.hang(&mut body, &mut state);
+        let moved = moved_by_knees(&body, &state);
+        assert!(moved < 1e-3, "{moved} m");
+    }
+
+    #[test]
     fn valleys_between_the_legs_are_filled_and_nothing_else_moves() {
         let body = Body::test_body();
         let mut state = standing(&body);
@@ -384,6 +420,35 @@ mod tests {
             most = most.max(lift.y);
         }
         assert!(most > 0.5 * TUCK, "{most} of a leg");
+    }
+
+    #[test]
+    fn halves_of_a_seam_at_different_depths_come_to_the_front_together() {
+        let mut body = Body::test_body();
+        let mut state = standing(&body);
+        wear(&body, &mut state, 0.6);
+        let skirt = Skirt::find(&body, &state).unwrap();
+        skirt.fill(&body, &mut state, Outline::stretched, ROUNDS);
+        let seam = skirt.cut(&mut body, &mut state);
+        let cut = Standing::new(&body, &state, &state.offsets);
+        let mut vertices: Vec<Vec3> = cut.posed.vertices.iter().map(|&v| v.into()).collect();
+        let in_front = |v: usize| vertices[v].z > 0.04 && (0.25..skirt.hem - FADE).contains(&cut.place(v).y);
+        let front: Vec<[usize; 2]> = seam.iter().copied().filter(|pair| pair.iter().all(|&v| in_front(v))).collect();
+        assert!(!front.is_empty());
+        let closed_from = |vertices: &[Vec3]| {
+            let (mut body, mut state) = (body.clone(), state.clone());
+            cut.lay(&body, &mut state, vertices);
+            skirt.close(&mut body, &mut state, &seam);
+            Standing::new(&body, &state, &state.offsets).posed.vertices
+        };
+        let even = closed_from(&vertices);
+        for &[half, _] in &front {
+            vertices[half].z *= 0.3;
+        }
+        let pressed = closed_from(&vertices);
+        for v in front.into_iter().flatten() {
+            assert!(pressed[v][2] > 0.9 * even[v][2], "{v}: {} m ahead, {} when even", pressed[v][2], even[v][2]);
+        }
     }
 
     /// Edges of which one face is known alone, vertices in one place counting as one.
