@@ -10,6 +10,7 @@ mod child;
 mod clip;
 mod confine;
 mod error;
+mod hdr;
 mod images;
 mod keypoints;
 mod lens;

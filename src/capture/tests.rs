@@ -226,6 +226,58 @@ fn colours_follow_their_tags() {
     }
 }
 
+/// HLG and PQ signals (ITU-R BT.2100) of an sRGB colour, of which white is shown with 203 cd/m² (ITU-R BT.2408).
+fn hdr_signals([r, g, b]: [u8; 3]) -> [[f64; 3]; 2] {
+    let light = [r, g, b].map(|c| {
+        let c = f64::from(c) / 255.0;
+        if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+    });
+    // ITU-R BT.2087
+    const WIDER: [[f64; 3]; 3] = [[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0114], [0.0164, 0.0880, 0.8956]];
+    let shown = WIDER.map(|row| 203.0 * row.iter().zip(light).map(|(m, c)| m * c).sum::<f64>());
+    let luminance = (0.2627 * shown[0] + 0.6780 * shown[1] + 0.0593 * shown[2]) / 1000.0;
+    let hlg = shown.map(|c| {
+        let scene = c / 1000.0 / luminance.powf(0.2 / 1.2);
+        if scene <= 1.0 / 12.0 {
+            (3.0 * scene).sqrt()
+        } else {
+            0.178_832_77 * (12.0 * scene - 0.284_668_92).ln() + 0.559_910_73
+        }
+    });
+    let pq = shown.map(|c| {
+        let y = (c / 10_000.0).powf(0.159_301_757_812_5);
+        ((0.8359375 + 18.8515625 * y) / (1.0 + 18.6875 * y)).powf(78.84375)
+    });
+    [hlg, pq]
+}
+
+#[test]
+fn hdr_is_brought_to_srgb() {
+    let filters = Command::new("ffmpeg").args(["-v", "error", "-filters"]).output().unwrap().stdout;
+    if !String::from_utf8(filters).unwrap().contains(" zscale ") {
+        eprintln!("ignored, this FFmpeg has no `zscale`");
+        return;
+    }
+    let tags = ["-color_primaries", "bt2020", "-colorspace", "bt2020nc"];
+    for (kind, transfer) in ["arib-std-b67", "smpte2084"].into_iter().enumerate() {
+        for tags in [&tags[..], &[]] {
+            let signals = |frame: Vec<u8>| -> Vec<u8> {
+                let pixels = frame.as_chunks().0.iter().flat_map(|&pixel| hdr_signals(pixel)[kind]);
+                pixels.flat_map(|c| ((65535.0 * c).round() as u16).to_le_bytes()).collect()
+            };
+            let scale = "scale=out_color_matrix=bt2020:out_range=tv:flags=accurate_rnd+full_chroma_inp";
+            #[rustfmt::skip]
+            let ffv1 = ["-vf", scale, "-c:v", "ffv1", "-pix_fmt", "yuv444p10le", "-color_trc", transfer, "-f", "matroska"];
+            let clip = Clip::new();
+            clip.video(&encode((0..COUNT).map(|i| signals(rgb(i))), "rgb48le", &[tags, &ffv1].concat()));
+            eprintln!("{transfer} {tags:?}");
+            let capture = clip.load().unwrap();
+            assert_is_the_clip(&capture, 6);
+            assert!(capture.warnings.is_empty(), "{:?}", capture.warnings);
+        }
+    }
+}
+
 #[test]
 fn zips_of_images_in_the_order_of_their_numbers() {
     let mut clip = Clip::new();

@@ -6,6 +6,7 @@ use std::sync::OnceLock;
 use std::time::Instant;
 
 use super::child::{Outcome, Output, Tool};
+use super::hdr::{self, Colours};
 use super::limits::{self, PROBE_TIME};
 use super::source::{Picture, Pixels};
 use super::{BadInput, CaptureError, Part};
@@ -25,6 +26,8 @@ pub(super) struct VideoFile {
     pub fps: f64,
     /// Number of frames that the container announces, or that follows from its duration.
     announced: Option<u32>,
+    /// Of a video that is brought from HDR to sRGB
+    hdr: Option<Colours>,
     pub warnings: Vec<String>,
 }
 
@@ -52,7 +55,8 @@ struct ProbeStream {
     nb_frames: Option<String>,
     duration: Option<String>,
     sample_aspect_ratio: String,
-    color_transfer: String,
+    #[serde(flatten)]
+    colours: Colours,
 }
 
 impl VideoFile {
@@ -94,11 +98,24 @@ impl VideoFile {
         if announced.is_some_and(|n| n as usize > limits::FRAMES + limits::FRAMES / 10) {
             return Err(limits::too_many_frames(part).into());
         }
-        Ok(Self { part, path, url, fps: rate.unwrap_or(30.0), announced, warnings: oddities(stream, rate) })
+        let mut warnings = oddities(stream, rate);
+        let hdr = if stream.colours.are_hdr() && part == Part::Video { Some(stream.colours.clone()) } else { None };
+        let hdr = match hdr {
+            Some(_) if !maps_hdr()? => {
+                warnings.push(format!(
+                    "the video is HDR, and this FFmpeg lacks the filters {} that would map it: its colours are used as \
+                     stored and will look flat",
+                    hdr::FILTERS.map(|name| format!("`{name}`")).join(" or ")
+                ));
+                None
+            }
+            hdr => hdr,
+        };
+        Ok(Self { part, path, url, fps: rate.unwrap_or(30.0), announced, hdr, warnings })
     }
 
     /// Starts decoding. Every stored frame comes once, turned as its rotation tag says. With `fast`, filters that
-    /// only smooth the picture are left out.
+    /// only smooth the picture are left out. HDR comes as sRGB, but for `fast` and for masks.
     pub fn decode(&self, pixels: Pixels, fast: bool, deadline: Instant) -> Result<VideoStream, CaptureError> {
         let (codec, format) = match pixels {
             Pixels::Rgb => ("ppm", "rgb24"),
@@ -108,6 +125,10 @@ impl VideoFile {
         let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4)).to_string();
         let skip = if fast { "all" } else { "default" };
         let passthrough = passthrough_option()?;
+        let mut filters = "settb=1,setpts=N".to_owned();
+        if let Some(colours) = self.hdr.as_ref().filter(|_| pixels == Pixels::Rgb && !fast) {
+            filters = format!("{filters},{}", colours.to_srgb());
+        }
         // Portable pixmaps tell the size of each picture in the stream itself, after rotation. Frames are numbered
         // anew, so that odd timestamps neither drop one nor raise complaints.
         #[rustfmt::skip]
@@ -115,7 +136,7 @@ impl VideoFile {
             "-hide_banner", "-nostdin", "-v", "error",
             "-protocol_whitelist", PROTOCOLS, "-format_whitelist", FORMATS,
             "-max_pixels", &max_pixels, "-threads", &threads, "-skip_loop_filter", skip, "-i", &self.url,
-            "-map", "0:V:0", "-an", "-sn", "-dn", "-vf", "settb=1,setpts=N", passthrough, "passthrough",
+            "-map", "0:V:0", "-an", "-sn", "-dn", "-vf", &filters, passthrough, "passthrough",
             "-sws_flags", "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp",
             "-c:v", codec, "-pix_fmt", format, "-f", "image2pipe", "pipe:1",
         ];
@@ -236,9 +257,6 @@ fn oddities(stream: &ProbeStream, rate: Option<f64>) -> Vec<String> {
         let ratio = &stream.sample_aspect_ratio;
         warnings.push(format!("the pixels are not square ({ratio}): the stored pixels are used as they are"));
     }
-    if matches!(stream.color_transfer.as_str(), "smpte2084" | "arib-std-b67") {
-        warnings.push("the video is HDR: its colours are used as stored and will look flat".to_owned());
-    }
     warnings
 }
 
@@ -251,6 +269,18 @@ fn passthrough_option() -> Result<&'static str, CaptureError> {
     let (text, _) = run("ffmpeg", &["-version"], None, 1 << 16)?;
     let text = String::from_utf8_lossy(&text).into_owned();
     Ok(OPTION.get_or_init(|| if is_before_5_1(&text) { "-vsync" } else { "-fps_mode" }))
+}
+
+/// Whether this FFmpeg has the filters that map HDR to sRGB.
+fn maps_hdr() -> Result<bool, CaptureError> {
+    static MAPS: OnceLock<bool> = OnceLock::new();
+    if let Some(&maps) = MAPS.get() {
+        return Ok(maps);
+    }
+    let (text, _) = run("ffmpeg", &["-hide_banner", "-filters"], None, 1 << 20)?;
+    let text = String::from_utf8_lossy(&text);
+    let names: Vec<&str> = text.lines().filter_map(|line| line.split_whitespace().nth(1)).collect();
+    Ok(*MAPS.get_or_init(|| hdr::FILTERS.iter().all(|name| names.contains(name))))
 }
 
 /// Builds without a version number (`N-109000-g…`) are taken as recent.

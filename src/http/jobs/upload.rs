@@ -23,6 +23,7 @@ use crate::storage::{Store, Upload};
 #[expect(dead_code, reason = "describes the form for the API's document; the parts themselves never meet in memory")]
 pub(super) struct UploadForm {
     /// The clip: any container and codec that FFmpeg reads, or a zip of images in the order of their names.
+    /// HDR (HLG or PQ) is brought to sRGB.
     #[schema(value_type = String, format = Binary)]
     video: Vec<u8>,
     /// Who is the person: a video or a zip of PNG or JPEG, one for each frame; 128 and above is foreground.
