@@ -12,20 +12,22 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> values: array<f32>; // [N, K]
-@group(0) @binding(2) var<storage, read_write> grads: array<f32>; // [N, K]
+@group(0) @binding(2) var<storage, read> expected: array<f32>; // [N, K]
+@group(0) @binding(3) var<storage, read_write> grads: array<f32>; // [N, K]
 
 fn value(frame: u32, k: u32) -> f32 {
     return values[frame * params.stride + k];
 }
 
-// The acceleration at an inner frame; 0 where a change is a jump.
+// The acceleration at an inner frame beyond the expected one; 0 where a change is a jump.
 fn acceleration(frame: u32, k: u32) -> f32 {
     if frame == 0u || frame + 1u >= params.n_frames {
         return 0.0;
     }
     let before = value(frame, k) - value(frame - 1u, k);
     let after = value(frame + 1u, k) - value(frame, k);
-    return select(0.0, after - before, max(abs(before), abs(after)) <= params.max_change);
+    let beyond = after - before - expected[frame * params.stride + k];
+    return select(0.0, beyond, max(abs(before), abs(after)) <= params.max_change);
 }
 
 @compute @workgroup_size(64)

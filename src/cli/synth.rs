@@ -65,6 +65,9 @@ pub struct Args {
     /// Degrees by which the arms move up and down.
     #[arg(long, default_value_t = Filming::default().arm_swing_degrees)]
     arm_swing: f64,
+    /// Degrees by which a thigh is raised with each step of the turn; at 0 the legs stand and the floor turns.
+    #[arg(long, default_value_t = Filming::default().step_degrees)]
+    step: f64,
 }
 
 fn outfit(name: &str) -> Result<Outfit, serde_json::Error> {
@@ -103,6 +106,7 @@ pub fn run(args: Args) -> Result<()> {
             turns: args.turns,
             speed_change: args.speed_change,
             arm_swing_degrees: args.arm_swing,
+            step_degrees: args.step,
         },
     };
     let body = body(&args.body)?;

@@ -17,6 +17,9 @@ pub const PLACE_JUMP: f32 = 0.1;
 const POSE_ACCELERATION: f64 = 0.03;
 const PLACE_ACCELERATION: f64 = 0.005;
 
+/// Accelerations of joints above so many usual ones are no noise: a leg steps.
+const STEP: f64 = 3.0;
+
 /// A person does not turn faster from one frame to the next, radians: more is a gap in the clip.
 const TURN_JUMP: f64 = 1.0;
 
@@ -30,22 +33,46 @@ fn acceleration(n: usize) -> f64 {
 ///
 /// What is hardly seen is held the more firmly: knees and elbows are hinges, a standing leg is not twisted, and of toes and
 /// fingers pictures tell little. Left to the pictures alone, such numbers take up what is wrong with the shape and the
-/// raster's noise.
-fn anchor_scales() -> [[f64; 3]; N_JOINTS] {
+/// raster's noise. But a leg that the start `[N, 72]` twists to and fro, since the person steps round, goes on as it likes.
+fn anchor_scales(start: &[f32]) -> [[f64; 3]; N_JOINTS] {
     const USUAL: f64 = 0.1;
     const HINGE: f64 = 0.01;
     const TWIST: f64 = 0.02;
     const END: f64 = 0.03;
+    let twist = |joint: &str| {
+        let column = JOINT_NAMES.iter().position(|name| *name == joint).map_or(0, |j| 3 * j + 1);
+        TWIST.max(spread(start.chunks_exact(3 * N_JOINTS).map(|pose| pose[column].into())))
+    };
     let of = |joint: &str| match joint {
         // The root's orientation is well seen.
         "pelvis" => [f64::INFINITY; 3],
-        "left_hip" | "right_hip" | "left_ankle" | "right_ankle" => [USUAL, TWIST, USUAL],
+        "left_hip" | "right_hip" => [USUAL, twist(joint), USUAL],
+        "left_ankle" | "right_ankle" => [USUAL, TWIST, USUAL],
         "left_knee" | "right_knee" => [USUAL, HINGE, HINGE],
         "left_elbow" | "right_elbow" => [HINGE, USUAL, HINGE],
         "left_foot" | "right_foot" | "left_hand" | "right_hand" => [END; 3],
         _ => [USUAL; 3],
     };
     JOINT_NAMES.map(of)
+}
+
+/// The accelerations of `values [N, stride]`, those up to `least` left out.
+fn steps(values: &[f32], stride: usize, least: f64) -> Vec<f32> {
+    let mut accelerations = vec![0.0; values.len()];
+    for i in stride..values.len().saturating_sub(stride) {
+        let acceleration = values[i + stride] - 2.0 * values[i] + values[i - stride];
+        if f64::from(acceleration.abs()) > least {
+            accelerations[i] = acceleration;
+        }
+    }
+    accelerations
+}
+
+/// Standard deviation.
+fn spread(values: impl ExactSizeIterator<Item = f64> + Clone) -> f64 {
+    let n = values.len().max(1) as f64;
+    let mean = values.clone().sum::<f64>() / n;
+    (values.map(|value| (value - mean).powi(2)).sum::<f64>() / n).sqrt()
 }
 
 /// Penalties on the accelerations of pose and placement, and on the way of the joints' angles from the stage's start.
@@ -57,7 +84,7 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// `start [N, 72]`: the poses that the joints are held near.
+    /// `start [N, 72]`: the poses that the joints are held near, and whose steps go on.
     pub fn new(gpu: &Gpu, start: &[f32]) -> Self {
         let usual = acceleration(start.len() / (3 * N_JOINTS));
         let stride = 3 * N_JOINTS;
@@ -66,11 +93,11 @@ impl Motion {
         let joints = TemporalConfig { stride, first: 3, scale, max_change };
         let (scale, max_change) = (PLACE_ACCELERATION * usual, PLACE_JUMP.into());
         let transl = TemporalConfig { stride: 3, first: 0, scale, max_change };
-        let anchor = AnchorConfig { scales: anchor_scales().as_flattened().to_vec() };
+        let anchor = AnchorConfig { scales: anchor_scales(start).as_flattened().to_vec() };
         Self {
             root: AngularAcceleration::new(gpu, root),
-            joints: Temporal::new(gpu, joints),
-            transl: Temporal::new(gpu, transl),
+            joints: Temporal::new(gpu, joints, &steps(start, stride, STEP * joints.scale)),
+            transl: Temporal::new(gpu, transl, &vec![0.0; start.len() / N_JOINTS]),
             anchor: Anchor::new(gpu, &anchor, start),
         }
     }
@@ -95,7 +122,7 @@ mod tests {
 
     #[test]
     fn hinges_are_held_where_they_do_not_bend() {
-        let scales = anchor_scales();
+        let scales = anchor_scales(&[0.0; 6 * N_JOINTS]);
         let held = |joint: &str| {
             let scales = scales[JOINT_NAMES.iter().position(|name| *name == joint).unwrap()];
             scales.map(|scale| scale < 0.05)
@@ -108,6 +135,28 @@ mod tests {
             assert_eq!(held(&format!("{side}_shoulder")), [false; 3]);
         }
         assert_eq!(held("pelvis"), [false; 3]);
+    }
+
+    #[test]
+    fn a_leg_that_steps_may_twist() {
+        let hip = |joint: &str| 3 * JOINT_NAMES.iter().position(|name| *name == joint).unwrap() + 1;
+        let mut start = vec![0.0; 8 * 3 * N_JOINTS];
+        for (frame, pose) in start.chunks_exact_mut(3 * N_JOINTS).enumerate() {
+            pose[hip("left_hip")] = if frame % 2 == 0 { 0.3 } else { -0.3 };
+        }
+        let scales = anchor_scales(&start);
+        let twist = |joint: &str| scales.as_flattened()[hip(joint)];
+        assert!((twist("left_hip") - 0.3).abs() < 1e-6 && twist("right_hip") < 0.05);
+    }
+
+    #[test]
+    fn steps_of_the_start_are_expected_and_its_sway_is_not() {
+        // Two numbers a frame: one sways, one steps in the fourth frame.
+        let values: Vec<f32> = (0..8).flat_map(|i| [0.01 * (i % 2) as f32, if i == 3 { 0.3 } else { 0.0 }]).collect();
+        let steps = steps(&values, 2, 0.09);
+        assert!(steps.iter().step_by(2).all(|&sway| sway == 0.0));
+        let stepped: Vec<f32> = steps.into_iter().skip(1).step_by(2).collect();
+        assert_eq!(stepped, [0.0, 0.0, 0.3, -0.6, 0.3, 0.0, 0.0, 0.0]);
     }
 
     #[test]

@@ -22,6 +22,8 @@ pub struct Filming {
     pub speed_change: f64,
     /// Degrees by which the arms move up and down
     pub arm_swing_degrees: f64,
+    /// Degrees by which a thigh is raised with each step of the turn; at 0 the legs stand and the floor turns
+    pub step_degrees: f64,
 }
 
 impl Default for Filming {
@@ -34,6 +36,7 @@ impl Default for Filming {
             turns: 1.0,
             speed_change: 0.0,
             arm_swing_degrees: 0.0,
+            step_degrees: 0.0,
         }
     }
 }
@@ -48,6 +51,7 @@ impl Filming {
             ("turns", self.turns, 0.0..=20.0),
             ("a change of speed", self.speed_change, 0.0..=0.95),
             ("a swing of the arms", self.arm_swing_degrees, 0.0..=60.0),
+            ("a raised thigh", self.step_degrees, 0.0..=60.0),
         ];
         match ranges.iter().find(|(_, value, range)| !range.contains(value)) {
             Some((what, value, range)) => {

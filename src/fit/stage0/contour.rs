@@ -8,13 +8,15 @@ use super::prior;
 use super::problem::{ContourPoint, Pinhole, Problem};
 use super::rig::{Point, Posed};
 use super::silhouette::{Field, Grid, fill};
-use super::state::State;
+use super::state::{self, State};
+use super::steps::Looks;
 use super::{Candidate, Clock, Stage0Error, Stage0Report, sides};
 use crate::body::Body;
 use crate::capture::{Capture, Frame};
 
-/// Times that outlines are matched anew.
-pub const ROUNDS: usize = 3;
+/// Times that outlines are matched anew: before steps are looked for, and again where there are some.
+const ROUNDS: usize = 3;
+pub const MOST_ROUNDS: usize = 2 * ROUNDS;
 /// Points of the outline in a frame.
 const POINTS: usize = 160;
 /// Information of one point: neighbours say nearly the same.
@@ -77,8 +79,39 @@ pub fn refine(
         best.descend(1e-3, clock)?;
         report.costs.push(best.cost);
     }
+    if best.problem.anchor.is_none() && find_steps(best, &outline(&best.state), capture, &masks) {
+        for _ in 0..ROUNDS {
+            outline(&best.state).attach(&mut best.problem, &best.state, &masks, &mut known);
+            best.descend(1e-3, clock)?;
+            report.costs.push(best.cost);
+        }
+    } else {
+        clock.round += ROUNDS;
+        if !clock.goes_on() {
+            return Err(Stage0Error::Stopped);
+        }
+    }
     report.mask_iou = outline(&best.state).overlap(&best.problem, &best.state, capture, &masks) as f32;
     Ok(())
+}
+
+/// Looks for steps, and puts them into the state. False where nobody steps.
+fn find_steps(best: &mut Candidate, outline: &Outline<'_>, capture: &Capture, masks: &[Option<Field>]) -> bool {
+    let Candidate { problem, state, scales, .. } = &*best;
+    let height = sides::height_px(problem, state);
+    let camera = problem.camera.zoomed(state.shared.log_focal);
+    let pairs = masks.iter().zip(&capture.frames);
+    let cells: Vec<_> = pairs.map(|(mask, seen)| Some(mask_cells(seen, &mask.as_ref()?.grid))).collect();
+    let differs = |t: usize, frame: &state::Frame| {
+        let (grid, cells) = (&masks[t].as_ref()?.grid, cells[t].as_ref()?);
+        let model = outline.filled(&problem.rig.pose(frame, &state.shared), &camera, grid);
+        let different = model.iter().zip(cells).filter(|(a, b)| a != b).count();
+        Some(different as f64 * (grid.step / height).powi(2))
+    };
+    let (steps, frames) = Looks { problem, state, scales, differs: &differs }.find();
+    let found = !steps.lifted.is_empty();
+    (best.problem.steps, best.state.frames) = (steps, frames);
+    found
 }
 
 /// The mask as it is stored, thinned to a grid: cells round the crop are outside.
@@ -159,6 +192,12 @@ impl Outline<'_> {
         posed.vertices(self.body, &self.shaped)
     }
 
+    /// The cells that the body covers.
+    fn filled(&self, posed: &Posed, camera: &Pinhole, grid: &Grid) -> Vec<bool> {
+        let image: Vec<DVec2> = self.posed_vertices(posed).into_iter().map(|p| camera.project(p)).collect();
+        fill(grid, &image, &self.body.faces)
+    }
+
     /// Vertices of the outline (`vertex`: the body's) and their places on the mask's edge.
     fn points(&self, posed: &Posed, camera: &Pinhole, mask: &Field) -> Vec<ContourPoint> {
         let image: Vec<DVec2> = self.posed_vertices(posed).into_iter().map(|p| camera.project(p)).collect();
@@ -192,8 +231,7 @@ impl Outline<'_> {
         for ((frame, mask), seen) in state.frames.iter().zip(masks).zip(&capture.frames) {
             let Some(mask) = mask else { continue };
             let posed = problem.rig.pose(frame, &state.shared);
-            let image: Vec<DVec2> = self.posed_vertices(&posed).into_iter().map(|p| camera.project(p)).collect();
-            let model = fill(&mask.grid, &image, &self.body.faces);
+            let model = self.filled(&posed, &camera, &mask.grid);
             let pairs = || model.iter().zip(mask_cells(seen, &mask.grid));
             let both = pairs().filter(|(a, b)| **a && *b).count();
             let any = pairs().filter(|(a, b)| **a || *b).count();

@@ -8,6 +8,7 @@ use super::prior;
 use super::problem::{NEAR, Problem, Scales};
 use super::rotation;
 use super::state::{Frame, Layout, Shared, State};
+use super::steps;
 use super::tracks;
 
 /// Poses that came with the clip: the fit may move only this far from them (1σ; radians, metres).
@@ -89,25 +90,45 @@ impl Problem {
                 normal.add(t, &slopes, &[], up[axis], weight);
             }
         }
-        let mut pull = |column: usize, residual: f64, sigma: f64| {
+        let mut pull = |slopes: &[(usize, f64)], residual: f64, sigma: f64| {
             let weight = 1.0 / (sigma * sigma);
             cost += 0.5 * weight * residual * residual;
             if let Some(normal) = normal.as_deref_mut() {
-                normal.add(t, &[(column, 1.0)], &[], residual, weight);
+                normal.add(t, slopes, &[], residual, weight);
             }
         };
         for p in &self.prior.joints {
             let Some(column) = self.layout.joint_column(p.joint) else { continue };
             for axis in 0..3 {
                 let angle = frame.theta[p.joint][axis];
-                pull(column + axis, angle - p.mean[axis], p.sigma[axis]);
+                let (stood, slopes, n) = self.without_steps(t, frame, p.joint, axis);
+                pull(&slopes[..n], stood - p.mean[axis], p.sigma[axis]);
                 let over = angle - angle.clamp(p.low[axis], p.high[axis]);
                 if over != 0.0 {
-                    pull(column + axis, over, prior::LIMIT_SIGMA);
+                    pull(&[(column + axis, 1.0)], over, prior::LIMIT_SIGMA);
                 }
             }
         }
         cost
+    }
+
+    /// A joint's angle less what of it is a step's bend or twist: what a standing person has, and what goes on from frame to
+    /// frame; its slopes, of which the first so many count.
+    fn without_steps(&self, t: usize, frame: &Frame, joint: usize, axis: usize) -> (f64, [(usize, f64); 3], usize) {
+        let mut angle = frame.theta[joint][axis];
+        let mut slopes = [(0, 0.0); 3];
+        slopes[0] = (self.layout.joint_column(joint).unwrap_or(0) + axis, 1.0);
+        let mut n = 1;
+        if axis == 0 {
+            for &(part, share) in steps::shares(joint) {
+                angle -= share * frame.step.as_flattened()[part];
+                slopes[n] = (Layout::STEP + part, -share);
+                n += 1;
+            }
+        } else if axis == 1 {
+            angle -= self.steps.twist_of(t, joint);
+        }
+        (angle, slopes, n)
     }
 
     pub(super) fn anchored(&self, t: usize, frame: &Frame, given: &Frame, mut normal: Option<&mut Normal>) -> f64 {
@@ -171,13 +192,38 @@ impl Problem {
             let change = next_place.0[axis] - this_place.0[axis];
             tie(&slopes(this_place.1, -1.0), &slopes(next_place.1, 1.0), change, prior::PELVIS_DRIFT);
         }
-        let mut walk = |column: usize, change: f64, sigma: f64| tie(&[(column, -1.0)], &[(column, 1.0)], change, sigma);
-        walk(Layout::TURN_RATE, next.turn_rate - this.turn_rate, prior::TURN_DRIFT);
-        for p in &self.prior.joints {
-            let Some(column) = self.layout.joint_column(p.joint) else { continue };
+        tie(
+            &[(Layout::TURN_RATE, -1.0)],
+            &[(Layout::TURN_RATE, 1.0)],
+            next.turn_rate - this.turn_rate,
+            prior::TURN_DRIFT,
+        );
+        for p in self.prior.joints.iter().filter(|p| self.layout.joint_column(p.joint).is_some()) {
             for axis in 0..3 {
-                walk(column + axis, next.theta[p.joint][axis] - this.theta[p.joint][axis], p.drift);
+                let (before, mut a, n) = self.without_steps(t, this, p.joint, axis);
+                let (after, b, _) = self.without_steps(t + 1, next, p.joint, axis);
+                a.iter_mut().for_each(|slope| slope.1 = -slope.1);
+                tie(&a[..n], &b[..n], after - before, p.drift);
             }
+        }
+        cost
+    }
+
+    /// Bends of a lifted leg are free, about those that keep the sole level; a leg that stands has none.
+    pub(super) fn step_prior(&self, t: usize, frame: &Frame, mut normal: Option<&mut Normal>) -> f64 {
+        let mut cost = 0.0;
+        for (side, [hip, knee]) in frame.step.into_iter().enumerate() {
+            let [of_hip, of_knee] = [0, 1].map(|part| Layout::STEP + 2 * side + part);
+            let [raised, level] = if self.steps.is_lifted(t, side) { steps::SIGMA } else { [steps::NO_SIGMA; 2] };
+            let mut pull = |slopes: &[(usize, f64)], residual: f64, sigma: f64| {
+                let weight = 1.0 / (sigma * sigma);
+                cost += 0.5 * weight * residual * residual;
+                if let Some(normal) = normal.as_deref_mut() {
+                    normal.add(t, slopes, &[], residual, weight);
+                }
+            };
+            pull(&[(of_hip, 1.0)], hip, raised);
+            pull(&[(of_hip, 2.0), (of_knee, 1.0)], 2.0 * hip + knee, level);
         }
         cost
     }

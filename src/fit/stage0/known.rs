@@ -50,6 +50,7 @@ pub fn candidate(
             root: to_camera * rotation::exp(theta[0]),
             pelvis: to_camera * pelvis + camera_shift,
             turn_rate: 0.0,
+            step: [[0.0; 2]; 2],
             theta,
         });
     }

@@ -6,7 +6,8 @@
 //! smoothness that expects a steady turn (`problem`, `expectation`). Its normal equations are an arrow on a block
 //! tridiagonal and are solved directly (`normal`).
 //! Because the problem has many minima, it starts from a search over facings, directions of the turn and
-//! swapped sides (`placement`), and frames are read anew between the rounds of descent (`sides`).
+//! swapped sides (`placement`), and frames are read anew between the rounds of descent (`sides`). Feet that step are looked
+//! for too (`steps`).
 //!
 //! What one camera cannot tell: the absolute size. Scaling the body and its distance together leaves every image
 //! as it was, so size comes from the shape prior.
@@ -29,6 +30,7 @@ mod setup;
 mod sides;
 mod silhouette;
 mod state;
+mod steps;
 #[cfg(test)]
 mod synthetic;
 #[cfg(test)]
@@ -166,7 +168,7 @@ pub fn solve(
         + FINE_ROUNDS
         + offsets::ROUNDS
         + if options.use_pictures { tracks::rounds(capture) } else { 0 }
-        + if options.use_masks { contour::ROUNDS } else { 0 };
+        + if options.use_masks { contour::MOST_ROUNDS } else { 0 };
     let mut clock = Clock { progress, rounds, iterations: options.iterations.max(1), round: 0, step: 0 };
     for candidate in &mut candidates {
         for round in 0..ROUGH_ROUNDS {

@@ -7,6 +7,7 @@ use super::normal::Normal;
 use super::prior::{self, Prior};
 use super::rig::{Point, PointJacobian, Posed, Rig};
 use super::state::{Frame, Layout, Shared, State};
+use super::steps::Steps;
 use super::tracks::{self, Tracks};
 
 /// A pinhole without distortion, the person in camera space.
@@ -121,6 +122,7 @@ pub struct Problem {
     /// Empty before pictures are looked at.
     pub tracks: Tracks,
     pub anchor: Option<Vec<Frame>>,
+    pub steps: Steps,
 }
 
 /// `½ ρ²q/(q + ρ²)` and its derivative with respect to `½ q`.
@@ -140,7 +142,7 @@ fn offset_of(landmark: &Landmark, shared: &Shared) -> Option<(usize, DVec3, DVec
 struct Look<'a> {
     t: usize,
     posed: &'a Posed,
-    state: &'a State,
+    shared: &'a Shared,
     camera: &'a Pinhole,
     scales: &'a Scales,
 }
@@ -184,7 +186,7 @@ impl Problem {
         let mut cost = self.shared_prior(&state.shared, scales, normal.as_deref_mut());
         for (t, frame) in state.frames.iter().enumerate() {
             let posed = self.rig.pose(frame, &state.shared);
-            let look = Look { t, posed: &posed, state, camera: &camera, scales };
+            let look = Look { t, posed: &posed, shared: &state.shared, camera: &camera, scales };
             cost += self.keypoints(&look, &mut rows, normal.as_deref_mut());
             cost += self.outline(&look, &mut rows, normal.as_deref_mut());
             cost += self.sightings(&look, &mut rows, normal.as_deref_mut());
@@ -192,6 +194,7 @@ impl Problem {
                 Some(anchor) => self.anchored(t, frame, &anchor[t], normal.as_deref_mut()),
                 None => self.pose_prior(t, frame, normal.as_deref_mut()),
             };
+            cost += self.step_prior(t, frame, normal.as_deref_mut());
         }
         if self.anchor.is_none() {
             for t in 0..self.gaps.len() {
@@ -199,6 +202,14 @@ impl Problem {
             }
         }
         cost
+    }
+
+    /// What keypoints and the standing prior make of one frame.
+    pub fn of_frame(&self, t: usize, frame: &Frame, shared: &Shared, scales: &Scales) -> f64 {
+        let camera = self.camera.zoomed(shared.log_focal);
+        let posed = self.rig.pose(frame, shared);
+        let look = Look { t, posed: &posed, shared, camera: &camera, scales };
+        self.keypoints(&look, &mut Rows::default(), None) + self.pose_prior(t, frame, None)
     }
 
     /// Where every landmark of a posed body appears.
@@ -211,10 +222,10 @@ impl Problem {
     }
 
     fn keypoints(&self, look: &Look, rows: &mut Rows, mut normal: Option<&mut Normal>) -> f64 {
-        let Look { t, state, scales, .. } = *look;
+        let Look { t, shared, scales, .. } = *look;
         let mut cost = 0.0;
         for (k, seen) in self.observations[t].iter().enumerate().filter(|(_, o)| o.weight > 0.0) {
-            let offset = offset_of(&self.landmarks[k], &state.shared);
+            let offset = offset_of(&self.landmarks[k], shared);
             let place = Place {
                 point: &self.points[k],
                 offset: offset.map(|(slot, value, factors)| (self.layout.offset_column(slot), value, factors)),
@@ -229,13 +240,13 @@ impl Problem {
     }
 
     fn sightings(&self, look: &Look, rows: &mut Rows, mut normal: Option<&mut Normal>) -> f64 {
-        let Look { t, state, scales, .. } = *look;
+        let Look { t, shared, scales, .. } = *look;
         let mut cost = 0.0;
         for sighting in self.tracks.sightings.get(t).into_iter().flatten() {
             let n = sighting.point;
             let place = Place {
                 point: &self.tracks.points[n],
-                offset: Some((self.layout.tracked_column(n), state.shared.tracked[n], DVec3::ONE)),
+                offset: Some((self.layout.tracked_column(n), shared.tracked[n], DVec3::ONE)),
                 at: sighting.at,
                 weight: tracks::WEIGHT,
                 sigma_px: scales.track_px,
@@ -248,10 +259,10 @@ impl Problem {
 
     /// A point of the body that a frame shows at a place.
     fn seen(&self, look: &Look, place: &Place, rows: &mut Rows, normal: Option<&mut Normal>) -> f64 {
-        let Look { t, posed, state, camera, .. } = *look;
+        let Look { t, posed, shared, camera, .. } = *look;
         let Place { point, offset, at, weight, sigma_px, rho } = *place;
         let information = 1.0 / (sigma_px * sigma_px);
-        let betas = &state.shared.betas;
+        let betas = &shared.betas;
         let place = if normal.is_some() {
             self.rig.differentiate(posed, point, betas, offset, &self.layout, &mut rows.jacobian)
         } else {
@@ -272,15 +283,15 @@ impl Problem {
     }
 
     fn outline(&self, look: &Look, rows: &mut Rows, mut normal: Option<&mut Normal>) -> f64 {
-        let Look { t, posed, state, camera, scales } = *look;
+        let Look { t, posed, shared, camera, scales } = *look;
         let mut cost = 0.0;
         let points = if scales.contour_weight > 0.0 { self.contours.get(t) } else { None };
         for contour in points.into_iter().flatten() {
             let point = &self.surface[contour.vertex];
             let place = if normal.is_some() {
-                self.rig.differentiate(posed, point, &state.shared.betas, None, &self.layout, &mut rows.jacobian)
+                self.rig.differentiate(posed, point, &shared.betas, None, &self.layout, &mut rows.jacobian)
             } else {
-                posed.place(point, &state.shared.betas, DVec3::ZERO)
+                posed.place(point, &shared.betas, DVec3::ZERO)
             };
             let image = camera.project(place);
             let error = contour.normal.dot(image - contour.at);

@@ -11,6 +11,7 @@ use super::problem::{Observation, Pinhole, Problem, Scales, Stature};
 use super::rig::{MOST_BETAS, Point, Rig};
 use super::sides;
 use super::state::{Frame, Layout, Shared, State};
+use super::steps::Steps;
 use super::tracks::Tracks;
 use super::{Candidate, Stage0Error};
 use crate::body::Body;
@@ -71,6 +72,7 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         contours: Vec::new(),
         tracks: Tracks::default(),
         anchor: None,
+        steps: Steps::default(),
     })
 }
 
@@ -111,8 +113,13 @@ pub fn rough_scales(problem: &Problem, state: &State) -> Scales {
 pub fn candidates(body: &Body, capture: &Capture) -> Result<Vec<Candidate>, Stage0Error> {
     let blank = problem(body, capture)?;
     let readings = {
-        let standing =
-            Frame { root: DMat3::IDENTITY, pelvis: DVec3::ZERO, turn_rate: 0.0, theta: blank.prior.mean_pose() };
+        let standing = Frame {
+            root: DMat3::IDENTITY,
+            pelvis: DVec3::ZERO,
+            turn_rate: 0.0,
+            step: [[0.0; 2]; 2],
+            theta: blank.prior.mean_pose(),
+        };
         let shape = mean_shape(blank.rig.n_betas());
         let posed = blank.rig.pose(&standing, &shape);
         let template: Vec<DVec3> =
@@ -154,6 +161,7 @@ fn first_state(problem: &Problem, reading: &Placement) -> State {
             root: DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * DMat3::from_rotation_y(reading.yaws[t]),
             pelvis: DVec3::new((at.x - camera.cx) / camera.fx, (at.y - camera.cy) / camera.fy, 1.0) * depth,
             turn_rate: rate(t.min(n.saturating_sub(2))),
+            step: [[0.0; 2]; 2],
             theta: problem.prior.mean_pose(),
         }
     };

@@ -18,6 +18,9 @@ pub struct Frame {
     pub turn_rate: f64,
     /// Rotation vectors; entry 0 is unused.
     pub theta: [DVec3; N_JOINTS],
+    /// Of the left and the right leg, the part of hip's and knee's bends (x of θ, radians) that is a step: what goes on from
+    /// frame to frame is the rest.
+    pub step: [[f64; 2]; 2],
 }
 
 /// What all frames share.
@@ -44,7 +47,7 @@ pub struct Step {
     pub shared: Vec<f64>,
 }
 
-/// Columns of a frame: root 0–2 (a turn in the body's axes), pelvis 3–5, turn rate 6, then three for each
+/// Columns of a frame: root 0–2 (a turn in the body's axes), pelvis 3–5, turn rate 6, steps 7–10, then three for each
 /// joint that the prior lets move. Shared columns: betas, offsets, focal length, then three for each tracked point.
 #[derive(Clone, Debug)]
 pub struct Layout {
@@ -57,11 +60,12 @@ pub struct Layout {
 impl Layout {
     pub const PELVIS: usize = 3;
     pub const TURN_RATE: usize = 6;
+    pub const STEP: usize = 7;
 
     pub fn new(prior: &Prior, n_betas: usize) -> Self {
         let mut columns = [None; N_JOINTS];
         columns[0] = Some(0);
-        let mut n_frame = Self::TURN_RATE + 1;
+        let mut n_frame = Self::STEP + 4;
         for j in prior.joints() {
             columns[j] = Some(n_frame);
             n_frame += 3;
@@ -108,6 +112,8 @@ impl State {
             frame.root *= rotation::exp(vec3(d));
             frame.pelvis += vec3(&d[Layout::PELVIS..]);
             frame.turn_rate += d[Layout::TURN_RATE];
+            let step = frame.step.as_flattened_mut().iter_mut();
+            step.zip(&d[Layout::STEP..]).for_each(|(bend, d)| *bend += d);
             for j in 1..N_JOINTS {
                 if let Some(column) = layout.joint_column(j) {
                     frame.theta[j] += vec3(&d[column..]);

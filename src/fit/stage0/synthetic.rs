@@ -30,6 +30,8 @@ pub struct Difficulty {
     pub swapped_backs: f64,
     /// Swing of the arms, degrees.
     pub swing_degrees: f64,
+    /// By how much thighs are raised: the left one in two frames of six, the right one in two others.
+    pub step_degrees: f64,
     /// Swing of the turn's pace, 0..1.
     pub pace: f64,
     pub betas: Vec<f64>,
@@ -62,6 +64,7 @@ impl Default for Difficulty {
             wrong: 0.0,
             swapped_backs: 0.0,
             swing_degrees: 5.0,
+            step_degrees: 0.0,
             pace: 0.2,
             betas: vec![0.3, 0.0, -0.4],
             focal_guess: None,
@@ -115,11 +118,18 @@ fn poses(how: &Difficulty) -> Vec<Pose> {
         theta[17] = DVec3::new(0.05, -0.1 * sway(1.1), 0.72 + swing * sway(0.3));
         theta[18].y = -0.27 + 0.06 * sway(0.9);
         theta[19].y = 0.2 + 0.06 * sway(1.4);
+        for (side, lifted) in [[1, 2], [4, 5]].into_iter().enumerate() {
+            let raised = if lifted.contains(&(t % 6)) { how.step_degrees.to_radians() } else { 0.0 };
+            for (joint, share) in [(1, -1.0), (4, 2.0), (7, -1.0)] {
+                theta[joint + side].x += share * raised;
+            }
+        }
         let tilt = rotation::exp(DVec3::new(0.03 + 0.015 * sway(2.0), 0.0, 0.015 * sway(1.0)));
         Pose {
             root: down * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * tilt * DMat3::from_rotation_y(yaw),
             pelvis: DVec3::new(0.03 * sway(0.2), -0.01, 2.85 + 0.02 * sway(0.4)),
             turn_rate: 0.0,
+            step: [[0.0; 2]; 2],
             theta,
         }
     };
@@ -284,6 +294,7 @@ pub fn errors(body: &Body, clip: &Clip, result: &Stage0Result) -> Errors {
             root: rotation::exp(angle(0)),
             pelvis: DVec3::from_array(result.transl[t].map(f64::from)) + rest,
             turn_rate: 0.0,
+            step: [[0.0; 2]; 2],
             theta: std::array::from_fn(angle),
         };
         let (a, b) = (rig.pose(&found, &shared).positions, rig.pose(truth, &clip.shared).positions);

@@ -132,6 +132,10 @@ fn slopes_agree_with_central_differences() {
     state.shared.tracked = vec![DVec3::new(0.01, 0.02, -0.01), DVec3::ZERO];
     state.frames[1].theta[4].x = -0.3;
     state.frames[2].theta[18] = DVec3::new(0.1, 0.4, -0.05);
+    problem.steps.lifted = vec![[false; 2], [true, false], [true, true], [false; 2]];
+    problem.steps.twist = vec![[0.0; 2], [0.3, 0.0], [-0.15, 0.15], [0.0; 2]];
+    state.frames[1].step = [[-0.3, 0.5], [0.0; 2]];
+    state.frames[2].step = [[-0.2, 0.45], [-0.1, 0.3]];
     let scales = Scales { track_px: 30.0, ..setup::rough_scales(&problem, &state) };
     let layout: &Layout = &problem.layout;
     let mut normal = Normal::new(4, layout.n_frame, layout.n_shared);
@@ -234,6 +238,32 @@ fn masks_tell_the_girth() {
     assert!((0.4..1.1).contains(&result.betas[1]), "{:?}", result.betas);
     assert!(result.report.mask_iou > 0.9, "{}", result.report.mask_iou);
     assert!(errors.scaled < 0.02, "{errors:?}");
+}
+
+#[test]
+fn feet_that_step_are_found_and_standing_ones_stand() {
+    let body = Body::test_body();
+    for step_degrees in [0.0, 22.0] {
+        let how = Difficulty { frames: 36, masks: true, step_degrees, seed: 21, ..Difficulty::default() };
+        let clip = clip(&body, &how);
+        let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
+        let knees: Vec<(f64, f64)> = clip
+            .poses
+            .iter()
+            .zip(&result.poses)
+            .flat_map(|(truth, found)| [4, 5].map(|knee| (truth.theta[knee].x, f64::from(found[3 * knee]))))
+            .collect();
+        let off = |bent: bool| {
+            let those: Vec<f64> =
+                knees.iter().filter(|(truth, _)| (*truth > 0.4) == bent).map(|(a, b)| (a - b).abs()).collect();
+            those.iter().sum::<f64>() / those.len().max(1) as f64
+        };
+        let errors = errors(&body, &clip, &result);
+        eprintln!("{step_degrees} {errors:?} {} {}", off(true), off(false));
+        assert!(off(false) < 0.06, "{step_degrees}°: knees that stand are off by {}", off(false));
+        assert!(off(true) < 0.25, "{step_degrees}°: knees that step are off by {}", off(true));
+        assert!(errors.scaled < 0.02, "{step_degrees}°: {errors:?}");
+    }
 }
 
 #[test]

@@ -63,6 +63,7 @@ fn the_ends_of_a_steady_turn_are_left_alone() {
     temporal::cpu::backward(
         &TemporalConfig { stride: 3, first: 0, scale: 0.3, max_change: 1.0 },
         &turn,
+        &vec![0.0; turn.len()],
         1.0,
         &mut grads,
     );

@@ -3,30 +3,35 @@
 use super::TemporalConfig;
 use crate::ops::Real;
 
-fn acceleration<T: Real>(config: &TemporalConfig, values: &[T], frame: usize, k: usize) -> T {
+/// Beyond the expected one.
+fn acceleration<T: Real>(config: &TemporalConfig, values: &[T], expected: &[T], frame: usize, k: usize) -> T {
     let at = |frame: usize| values[frame * config.stride + k];
     if k < config.first || frame == 0 || (frame + 1) * config.stride >= values.len() {
         return T::zero();
     }
     let (before, after) = (at(frame) - at(frame - 1), at(frame + 1) - at(frame));
-    if before.abs().max(after.abs()) <= T::of(config.max_change) { after - before } else { T::zero() }
+    if before.abs().max(after.abs()) <= T::of(config.max_change) {
+        after - before - expected[frame * config.stride + k]
+    } else {
+        T::zero()
+    }
 }
 
 /// The penalty.
-pub fn forward<T: Real>(config: &TemporalConfig, values: &[T]) -> T {
+pub fn forward<T: Real>(config: &TemporalConfig, values: &[T], expected: &[T]) -> T {
     let cells = (0..values.len() / config.stride).flat_map(|f| (0..config.stride).map(move |k| (f, k)));
-    cells.map(|(f, k)| (acceleration(config, values, f, k) / T::of(config.scale)).powi(2)).sum()
+    cells.map(|(f, k)| (acceleration(config, values, expected, f, k) / T::of(config.scale)).powi(2)).sum()
 }
 
 /// Adds `weight` times the gradient.
-pub fn backward<T: Real>(config: &TemporalConfig, values: &[T], weight: T, grads: &mut [T]) {
+pub fn backward<T: Real>(config: &TemporalConfig, values: &[T], expected: &[T], weight: T, grads: &mut [T]) {
     let factor = T::of(2.0 / (config.scale * config.scale)) * weight;
     for frame in 0..values.len() / config.stride {
         for k in 0..config.stride {
-            let mut pull =
-                T::of(-2.0) * acceleration(config, values, frame, k) + acceleration(config, values, frame + 1, k);
+            let at = |frame: usize| acceleration(config, values, expected, frame, k);
+            let mut pull = T::of(-2.0) * at(frame) + at(frame + 1);
             if frame > 0 {
-                pull += acceleration(config, values, frame - 1, k);
+                pull += at(frame - 1);
             }
             grads[frame * config.stride + k] += factor * pull;
         }

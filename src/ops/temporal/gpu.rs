@@ -21,12 +21,18 @@ struct Params {
 pub struct Temporal {
     backward: Arc<Kernel>,
     config: TemporalConfig,
+    expected: Buffer<f32>,
 }
 
 impl Temporal {
-    pub fn new(gpu: &Gpu, config: TemporalConfig) -> Self {
+    /// `expected [N, K]`
+    pub fn new(gpu: &Gpu, config: TemporalConfig, expected: &[f32]) -> Self {
         let source = include_str!("../../../shaders/temporal/backward.wgsl");
-        Self { backward: gpu.kernel("temporal/backward", source, &[]), config }
+        Self {
+            backward: gpu.kernel("temporal/backward", source, &[]),
+            config,
+            expected: gpu.upload("temporal/expected", expected),
+        }
     }
 
     /// Records `grads += weight · ∂L/∂values`.
@@ -35,7 +41,8 @@ impl Temporal {
     /// When the lengths differ or are no multiple of the stride.
     pub fn backward(&self, recorder: &mut Recorder<'_>, values: &Buffer<f32>, weight: f32, grads: &Buffer<f32>) {
         let TemporalConfig { stride, first, scale, max_change } = self.config;
-        assert!(values.len() == grads.len() && values.len().is_multiple_of(stride), "{}: length", values.label());
+        let alike = values.len() == grads.len() && values.len() == self.expected.len();
+        assert!(alike && values.len().is_multiple_of(stride), "{}: length", values.label());
         let params = Params {
             n_frames: (values.len() / stride) as u32,
             stride: stride as u32,
@@ -45,6 +52,6 @@ impl Temporal {
             first: first as u32,
             padding: [0; 2],
         };
-        recorder.dispatch(&self.backward, &params, &[values, grads], linear_groups(values.len(), 64));
+        recorder.dispatch(&self.backward, &params, &[values, &self.expected, grads], linear_groups(values.len(), 64));
     }
 }

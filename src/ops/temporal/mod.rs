@@ -3,10 +3,11 @@
 //! | buffer | shape | role |
 //! |---|---|---|
 //! | `values` | `[N, K]` | one row a frame, in the order of time |
+//! | `expected` | `[N, K]` | accelerations that cost nothing |
 //! | `grads` | `[N, K]` | `backward` adds `λ ∂L/∂values` |
 //!
-//! `L = Σ_i Σ_k (a_ik / scale)²` over the inner frames and the numbers from `first` on, `a_i = x_{i+1} − 2 x_i + x_{i−1}`.
-//! Where a number changes by more than `max_change` from one frame to the next, `a = 0`: axis-angle vectors jump at half
+//! `L = Σ_i Σ_k ((a_ik − e_ik) / scale)²` over the inner frames and the numbers from `first` on, `a_i = x_{i+1} − 2 x_i + x_{i−1}`.
+//! Where a number changes by more than `max_change` from one frame to the next, `a = e`: axis-angle vectors jump at half
 //! turns, and a gap in the clip is no motion. One camera sees depth badly, and a frame alone would place the person a few
 //! centimetres too near or too far; its neighbours know better.
 
