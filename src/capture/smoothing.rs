@@ -20,8 +20,7 @@ const LEAST_POINTS: usize = 5;
 const RHO: [f64; 5] = [32.0, 16.0, 8.0, 4.0, 4.0];
 
 /// Detections that lie further than this, over the noise, from the parabola through the others are wrong, or of a move too quick for
-/// it, as a foot's that is lifted, and stay as they
-/// are, for all to see.
+/// it, as a foot's that is lifted, and stay as they are, for all to see.
 const WRONG: f64 = 4.0;
 
 /// Of detections with a standard deviation of one a coordinate (400,000 random ones), see [`noise`].
