@@ -119,14 +119,24 @@ fn numbers(key: &str, value: &Value) -> Result<Vec<f64>, BadInput> {
 /// `distortion: [k1, k2, p1, p2, k3]` (shorter is fine), `distortion: {k1: …}`, or `k1` … beside the other fields.
 fn distortion(json: &Map<String, Value>) -> Result<[f64; 5], BadInput> {
     const NAMES: [&str; 5] = ["k1", "k2", "p1", "p2", "k3"];
+    const OF_THE_LENS: &str = "k1, k2, p1, p2, k3 (Brown's model, no fisheye)";
+    const OF_OTHERS: [&str; 3] = ["k4", "k5", "k6"];
+    if let Some(other) = OF_OTHERS.into_iter().find(|key| json.contains_key(*key)) {
+        return Err(bad(format!("there is a `{other}`"), OF_THE_LENS));
+    }
     let mut coefficients = [0.0; 5];
     let named = match json.get("distortion") {
         None | Some(Value::Null) => json,
-        Some(Value::Object(named)) => named,
+        Some(Value::Object(named)) => {
+            if let Some(other) = named.keys().find(|key| !NAMES.contains(&key.as_str())) {
+                return Err(bad(format!("`distortion` has a `{other}`"), OF_THE_LENS));
+            }
+            named
+        }
         Some(list) => {
             let list = numbers("distortion", list)?;
             if list.len() > 5 {
-                return Err(bad(format!("`distortion` has {} numbers", list.len()), "k1, k2, p1, p2, k3"));
+                return Err(bad(format!("`distortion` has {} numbers", list.len()), OF_THE_LENS));
             }
             coefficients[..list.len()].copy_from_slice(&list);
             return Ok(coefficients);

@@ -19,7 +19,8 @@ pub(super) struct MaskCheck {
 }
 
 impl MaskCheck {
-    /// The bounding box of the foreground; `None`, and an error at the end, where there is (nearly) none.
+    /// The bounding box of the foreground; `None` where there is (nearly) none: such a frame is left out, and where they are
+    /// most of all that is an error at the end.
     pub fn look(&mut self, frame: usize, mask: &Picture) -> Option<Rect> {
         let (width, height) = (mask.width as usize, mask.height as usize);
         let (mut x0, mut x1, mut y0, mut y1, mut pixels) = (width, 0, height, 0, 0);
@@ -51,9 +52,12 @@ impl MaskCheck {
                     format!("all {} masks are empty; their brightest pixel is {}", self.frames, self.brightest);
                 return Err(BadInput::new(Part::Masks, message, expected));
             }
-            let also = if self.empty > 1 { format!("; {} masks are", self.empty) } else { String::new() };
-            let message = format!("the mask is empty, {pixels} pixels are foreground{also}");
-            return Err(BadInput::new(Part::Masks, message, expected).at(frame));
+            let count = format!("{} of {}", self.empty, self.frames);
+            if 2 * self.empty > self.frames {
+                let message = format!("the mask is empty, {pixels} pixels are foreground; {count} masks are");
+                return Err(BadInput::new(Part::Masks, message, expected).at(frame));
+            }
+            warnings.push(format!("masks: {count} are empty, the first of them {frame}: those frames are left out"));
         }
         if 2 * self.covered > self.frames {
             warnings.push(format!("masks: {} of them cover most of the image: inverted?", self.covered));
@@ -70,6 +74,8 @@ impl MaskCheck {
 #[derive(Default)]
 pub(super) struct KeypointCheck {
     seen: usize,
+    /// Frames in which several people are, and none of them on the mask.
+    beside: usize,
     off_mask: usize,
     outside: usize,
     /// Frames without anybody on the mask.
@@ -90,6 +96,7 @@ impl KeypointCheck {
                 best = Some((score, person));
             }
         }
+        self.beside += usize::from(best.is_none() && people.len() > 1);
         let mut points = best.map_or_else(|| vec![[0.0; 3]; keypoints.format.points], |(_, person)| person.clone());
         for point in &mut points {
             self.check(point, mask);
@@ -120,7 +127,11 @@ impl KeypointCheck {
 
     pub fn finish(&self, warnings: &mut Vec<String>) -> Result<(), BadInput> {
         let expected = "pixels of the video's images, x from the left and y from the top, on the person of the masks";
-        let Self { seen, off_mask, outside, nobody } = self;
+        let Self { seen, beside, off_mask, outside, nobody } = self;
+        if *seen == 0 && *beside > 0 {
+            let message = "none of the people in any frame lies on the masks";
+            return Err(BadInput::new(Part::Keypoints, message, expected));
+        }
         if *seen == 0 {
             let message = "no point of any frame has a confidence above 0";
             return Err(BadInput::new(Part::Keypoints, message, "the confidence of each point, 0 only where not seen"));
@@ -254,6 +265,10 @@ mod tests {
         assert!(check.finish(&mut Vec::new()).is_ok());
         let speck = Picture { width: 100, height: 80, data: vec![1; 8000] };
         assert_eq!(check.look(1, &speck), None);
+        let mut warnings = Vec::new();
+        check.finish(&mut warnings).unwrap();
+        assert_eq!(warnings, ["masks: 1 of 2 are empty, the first of them 1: those frames are left out"]);
+        assert_eq!(check.look(2, &speck), None);
         let error = check.finish(&mut Vec::new()).unwrap_err();
         assert_eq!(error.frame, Some(1));
     }
@@ -270,6 +285,10 @@ mod tests {
         let mut warnings = Vec::new();
         check.finish(&mut warnings).unwrap();
         assert_eq!(warnings, ["keypoints: nobody is seen in 1 frames, the first of them 0"]);
+        let mut check = KeypointCheck::default();
+        check.choose(0, &people(vec![vec![[10.0, 40.0, 1.0]; 17]; 2]), &mask());
+        let error = check.finish(&mut Vec::new()).unwrap_err();
+        assert_eq!(error.message, "none of the people in any frame lies on the masks");
     }
 
     #[test]

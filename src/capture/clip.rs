@@ -14,7 +14,7 @@ use crate::camera::Camera;
 /// The files of an upload. Their names mean nothing: each is told by its content.
 #[derive(Clone, Debug)]
 pub struct CaptureInputs {
-    /// Anything that FFmpeg reads, or a zip of PNG or JPEG images.
+    /// A single file that FFmpeg reads, or a zip of PNG or JPEG images.
     pub video: PathBuf,
     /// A video or a zip of images, one a frame of the video and of its size; foreground ≥ 128.
     pub masks: PathBuf,
@@ -81,10 +81,11 @@ impl Capture {
         Self::of(Clip::open(inputs, false, Instant::now() + LOAD_TIME)?, &kept, max_side_px)
     }
 
-    /// Makes the focal length the guess that it is where no camera came with a clip.
+    /// Makes the focal length the guess that it is where no camera came with a clip; pixels that are not square stay so.
     pub fn forget_focal(&mut self) {
-        let guess = calibration::guess(self.camera.width, self.camera.height);
-        (self.camera.fx, self.camera.fy, self.camera_estimated) = (guess.fx, guess.fy, true);
+        let factor = calibration::guess(self.camera.width, self.camera.height).fx / self.camera.fx;
+        (self.camera.fx, self.camera.fy) = (self.camera.fx * factor, self.camera.fy * factor);
+        self.camera_estimated = true;
     }
 
     fn of(mut clip: Clip, kept: &[usize], max_side_px: u32) -> Result<Self, CaptureError> {
@@ -107,12 +108,17 @@ impl Capture {
         let Some(rectify) = rectify else {
             return Err(BadInput::new(Part::Video, "0 frames could be read", "at least one frame").into());
         };
+        if frames.is_empty() {
+            let message = format!("of the {} frames that are kept, each has an empty mask", kept.len());
+            return Err(BadInput::new(Part::Masks, message, "a person in most masks").into());
+        }
         if kept.len() < clip.points.len() {
             smoothing::smooth(&mut clip.points);
         }
         for frame in &mut frames {
             frame.keypoints = rectified(&rectify, &clip.points[frame.index as usize]);
         }
+        let shown: Vec<usize> = frames.iter().map(|frame| frame.index as usize).collect();
         Ok(Self {
             camera: rectify.camera,
             uploaded_side_px: clip.size.0.max(clip.size.1),
@@ -120,7 +126,7 @@ impl Capture {
             fps: clip.fps(),
             frames,
             keypoint_format: clip.keypoints.format.name.to_owned(),
-            poses: clip.poses.as_ref().map(|poses| poses.subset(kept)),
+            poses: clip.poses.as_ref().map(|poses| poses.subset(&shown)),
             warnings: clip.warnings,
         })
     }
@@ -206,7 +212,11 @@ impl Clip {
                     if let (Some(poses), Some(bounds)) = (known, bounds) {
                         pose_check.look(index, poses, self.camera.as_ref(), bounds);
                     }
-                    self.points.push(keypoint_check.choose(index, &self.keypoints, &mask));
+                    // Whoever is not there has no keypoints; what a detector finds then is somebody else.
+                    self.points.push(match bounds {
+                        Some(_) => keypoint_check.choose(index, &self.keypoints, &mask),
+                        None => vec![[0.0; 3]; self.keypoints.format.points],
+                    });
                     if keep(index) {
                         visit(self.size, Still { index, image: &image, mask: &mask, bounds })?;
                     }
@@ -223,14 +233,13 @@ impl Clip {
         Ok(())
     }
 
-    /// The first frame fixes the size, and the camera must be of it.
+    /// The first frame fixes the size, and the camera must be of it, with a lens that makes sense there.
     fn check_size(&mut self, index: usize, image: &Picture) -> Result<(), BadInput> {
         if index == 0 {
             self.size = (image.width, image.height);
-            return self
-                .camera
-                .as_ref()
-                .map_or(Ok(()), |camera| calibration::check_size(camera, image.width, image.height));
+            let Some(camera) = &self.camera else { return Ok(()) };
+            calibration::check_size(camera, image.width, image.height)?;
+            return Rectify::new(camera.clone(), u32::MAX).map(drop);
         }
         let (width, height) = self.size;
         if (image.width, image.height) == self.size {

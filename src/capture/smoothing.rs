@@ -223,7 +223,7 @@ mod tests {
     fn a_quick_move_is_not_smoothed_away() {
         let mut frames = detected(240);
         let raised = |frame: usize| {
-            let at = (frame % 40) as f64 / 10.0;
+            let at = (frame % 60) as f64 / 8.0;
             if at < 1.0 { 9.0 * (std::f64::consts::PI * at).sin().powi(2) } else { 0.0 }
         };
         frames.iter_mut().enumerate().for_each(|(frame, points)| points[0][1] -= raised(frame));

@@ -381,6 +381,27 @@ fn frames_are_thinned_and_scaled_with_their_keypoints_and_poses() {
 }
 
 #[test]
+fn frames_before_the_person_comes_are_left_out() {
+    let clip = Clip::new();
+    let black = png(&vec![0; (WIDTH * HEIGHT) as usize], WIDTH, HEIGHT, image::ExtendedColorType::L8);
+    let masks = (0..COUNT).map(|i| if i < 3 { black.clone() } else { mask_png(i) });
+    clip.masks(&zip(masks.enumerate().map(|(i, mask)| (format!("{i}.png"), mask))));
+    // Somebody else, far from where the person will be.
+    let people: Vec<_> = (0..COUNT).map(|i| if i < 3 { vec![[2.0, 2.0, 1.0]; 17] } else { points(i) }).collect();
+    clip.keypoints(keypoint_json(&people));
+    let warning = "masks: 3 of 12 are empty, the first of them 0: those frames are left out";
+    assert_eq!(inspect(&clip.inputs).unwrap().warnings, [warning]);
+    let capture = clip.load().unwrap();
+    assert_eq!(capture.warnings, [warning]);
+    assert_eq!(capture.frames.iter().map(|frame| frame.index as usize).collect::<Vec<_>>(), Vec::from_iter(3..COUNT));
+    let whole = Clip::new().load().unwrap();
+    for frame in &capture.frames {
+        let same = &whole.frames[frame.index as usize];
+        assert_eq!((&frame.rgb, &frame.keypoints), (&same.rgb, &same.keypoints));
+    }
+}
+
+#[test]
 fn some_frames_are_loaded_again_at_another_size() {
     let clip = Clip::new();
     let small = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }).unwrap();

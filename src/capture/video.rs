@@ -14,6 +14,8 @@ use super::{BadInput, CaptureError, Part};
 /// Containers that FFmpeg may open. Playlists, concatenations and other formats that name further files are not here.
 const FORMATS: &str = "mov,mp4,matroska,webm,avi,mpegts,mpeg,mpegvideo,flv,ogg,asf,ivf,h264,hevc,obu,av1,m4v,mjpeg,\
                        mxf,gif,yuv4mpegpipe,nut,dv,rm";
+/// Phones film slow motion with up to 960.
+const MOST_FRAMES_A_SECOND: f64 = 960.0;
 /// Only the file itself is read.
 const PROTOCOLS: &str = "file";
 
@@ -99,18 +101,15 @@ impl VideoFile {
             return Err(limits::too_many_frames(part).into());
         }
         let mut warnings = oddities(stream, rate);
-        let hdr = if stream.colours.are_hdr() && part == Part::Video { Some(stream.colours.clone()) } else { None };
-        let hdr = match hdr {
-            Some(_) if !maps_hdr()? => {
-                warnings.push(format!(
-                    "the video is HDR, and this FFmpeg lacks the filters {} that would map it: its colours are used as \
-                     stored and will look flat",
-                    hdr::FILTERS.map(|name| format!("`{name}`")).join(" or ")
-                ));
-                None
-            }
-            hdr => hdr,
-        };
+        let mut hdr = (part == Part::Video && stream.colours.are_hdr()).then(|| stream.colours.clone());
+        if hdr.is_some() && !maps_hdr()? {
+            warnings.push(format!(
+                "the video is HDR, and this FFmpeg lacks the filters {} that would map it: its colours are used as \
+                 stored and will look flat",
+                hdr::FILTERS.map(|name| format!("`{name}`")).join(" or ")
+            ));
+            hdr = None;
+        }
         Ok(Self { part, path, url, fps: rate.unwrap_or(30.0), announced, hdr, warnings })
     }
 
@@ -242,10 +241,11 @@ fn read_header(reader: &mut impl BufRead) -> Option<(u32, u32)> {
     Some((width.parse().ok()?, height.parse().ok()?))
 }
 
+/// Frames a second; `None` also where the container tells the unit of its clock instead, as files of browsers' recorders do.
 fn frame_rate(text: &str) -> Option<f64> {
     let (numerator, denominator) = text.split_once('/')?;
     let rate = numerator.parse::<f64>().ok()? / denominator.parse::<f64>().ok()?;
-    (rate.is_finite() && rate > 0.0).then_some(rate)
+    (rate > 0.0 && rate <= MOST_FRAMES_A_SECOND).then_some(rate)
 }
 
 fn oddities(stream: &ProbeStream, rate: Option<f64>) -> Vec<String> {

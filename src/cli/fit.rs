@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, bail};
 use effigy::data_dir::data_dir;
+use effigy::fingerprint::Fingerprint;
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
 use effigy::worker::pipeline::{self, Observer, PipelineInput, Progress, StopReason};
@@ -13,8 +14,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 #[derive(clap::Args)]
 pub struct Args {
-    /// A folder with video.*, masks.*, keypoints.* and, where known, camera.json and poses.npz. The options below name
-    /// single files instead.
+    /// A folder with video.*, masks.*, keypoints.* and, where known, camera.json. The options below name single files
+    /// instead.
     clip: Option<PathBuf>,
     #[arg(long)]
     video: Option<PathBuf>,
@@ -49,7 +50,7 @@ pub struct Args {
     /// Side of the baked texture: 2048 or 4096.
     #[arg(long, default_value_t = 2048)]
     texture_px: u32,
-    /// Where the avatar goes. A checkpoint in it is gone on from.
+    /// Where the avatar goes. A checkpoint in it is gone on from if it is of the same files and options.
     #[arg(long, default_value = "avatar")]
     out: PathBuf,
     /// Progress as lines of JSON.
@@ -60,7 +61,7 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     let input = input_of(&args)?;
     let work = args.out.join("work");
-    std::fs::create_dir_all(&work).with_context(|| work.display().to_string())?;
+    begin_anew_for_others(&work, &input)?;
     let gpu = Gpu::open(&DeviceSelect::Auto)?;
     let stopped = stop_on_ctrl_c();
     let mut observer = Follower { bar: bar(args.json), json: args.json, stopped };
@@ -81,6 +82,24 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         println!("{}\n{:#}", args.out.join("avatar.glb").display(), outcome.metrics);
     }
     Ok(())
+}
+
+/// Leaves `work` to go on from only where it is of these very inputs and options, and otherwise empty.
+fn begin_anew_for_others(work: &Path, input: &PipelineInput) -> anyhow::Result<()> {
+    let mut made_of = Fingerprint::of_program()?.with_text(&serde_json::to_string(&input.options)?);
+    for part in [&input.video, &input.masks, &input.keypoints].into_iter().chain(&input.camera).chain(&input.poses) {
+        made_of = made_of.with_file(part).with_context(|| part.display().to_string())?;
+    }
+    let made_of = made_of.with_body(&input.options.body)?.digits();
+    let mark = work.join("made-of");
+    if std::fs::read_to_string(&mark).is_ok_and(|mark| mark == made_of) {
+        return Ok(());
+    }
+    if work.exists() {
+        std::fs::remove_dir_all(work).with_context(|| work.display().to_string())?;
+    }
+    std::fs::create_dir_all(work).with_context(|| work.display().to_string())?;
+    Ok(std::fs::write(mark, made_of)?)
 }
 
 fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
@@ -125,12 +144,16 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
 
 /// The file `name.*` of a folder.
 fn find(folder: &Path, name: &str) -> anyhow::Result<Option<PathBuf>> {
+    let pictures = folder.join(name);
     let entries = std::fs::read_dir(folder).with_context(|| folder.display().to_string())?;
     let mut found: Vec<PathBuf> = entries
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(|path| path.is_file() && path.file_stem().is_some_and(|stem| stem == name))
         .collect();
     found.sort();
+    if found.is_empty() && pictures.is_dir() {
+        bail!("{} is a folder: make {name}.zip of its files", pictures.display());
+    }
     Ok(found.into_iter().next())
 }
 
@@ -185,4 +208,40 @@ impl Observer for Follower {
     }
 
     fn idle(&mut self, _gpu: &Arc<Gpu>) {}
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_checkpoint_of_another_clip_is_not_gone_on_from() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        ["video", "masks", "keypoints"].iter().for_each(|name| std::fs::write(file(name), name).unwrap());
+        let mut input = PipelineInput {
+            video: file("video"),
+            masks: file("masks"),
+            keypoints: file("keypoints"),
+            camera: None,
+            poses: None,
+            options: JobOptions::default(),
+        };
+        let work = file("work");
+        // As an older version left it.
+        std::fs::create_dir(&work).unwrap();
+        std::fs::write(work.join("checkpoint.npz"), "").unwrap();
+        let goes_on = |input: &PipelineInput| {
+            begin_anew_for_others(&work, input).unwrap();
+            let goes_on = work.join("checkpoint.npz").exists();
+            std::fs::write(work.join("checkpoint.npz"), "").unwrap();
+            goes_on
+        };
+        assert!(!goes_on(&input));
+        assert!(goes_on(&input));
+        input.options.height_m = Some(1.7);
+        assert!(!goes_on(&input) && goes_on(&input));
+        std::fs::write(file("masks"), "MASKS").unwrap();
+        assert!(!goes_on(&input) && goes_on(&input));
+    }
 }

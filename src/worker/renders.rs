@@ -126,6 +126,7 @@ impl Kept {
             self.colours = Some(self.renderer.texture().vertex_colours(gpu).map_err(failed)?);
         }
         mesh.colours = self.colours.clone().unwrap_or_default();
+        let mesh = mesh.without_loose_vertices();
         let mut out = Vec::new();
         ply::write(&mesh, &mut out).and_then(|()| out.flush()).map_err(failed)?;
         Ok(out)

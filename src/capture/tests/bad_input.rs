@@ -103,8 +103,12 @@ fn empty_masks() {
     };
     clip.masks(&files(|_| true));
     assert_error(&clip, Part::Masks, None, "all 12 masks are empty; their brightest pixel is 0");
-    clip.masks(&files(|i| i == 4 || i == 9));
-    assert_error(&clip, Part::Masks, Some(4), "the mask is empty, 0 pixels are foreground; 2 masks are");
+    clip.masks(&files(|i| i >= 4));
+    assert_error(&clip, Part::Masks, Some(4), "the mask is empty, 0 pixels are foreground; 8 of 12 masks are");
+    // Whoever walks in is not there yet.
+    clip.masks(&files(|i| i < 3));
+    let error = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 1, max_side_px: 96 }).unwrap_err();
+    assert_eq!(error.bad_input().unwrap().message, "of the 1 frames that are kept, each has an empty mask");
     // Foreground written as 1 is a common mistake.
     let ones = |i| -> Vec<u8> { mask(i).into_iter().map(|v| v.min(1)).collect() };
     let ones = |i| png(&ones(i), WIDTH, HEIGHT, image::ExtendedColorType::L8);

@@ -113,7 +113,15 @@ fn look_closer(
     let large = match closer.own(capture) {
         Some(own) => own,
         None => {
-            let mut large = Capture::load_frames(&input.capture_inputs(), &closer.frames, closer.side_px)?;
+            let large = Capture::load_frames(&input.capture_inputs(), &closer.frames, closer.side_px);
+            let mut large = match large {
+                Ok(large) => large,
+                // The fit has ended, and its texture is an avatar's.
+                Err(error) => {
+                    tracing::warn!(%error, "the texture gets no detail: larger pictures cannot be had");
+                    return Ok(None);
+                }
+            };
             let offsets = closer.of(&quality::edge_offsets(measures)).into_iter();
             let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * closer.gain)).collect();
             quality::settle_masks(&mut large, &offsets);
