@@ -3,7 +3,7 @@
 use rand_pcg::Pcg64;
 
 use super::footage::Footage;
-use super::{images, keypoints, masks};
+use super::{hand, images, keypoints, masks};
 
 /// A way to spoil a clip.
 pub struct Case {
@@ -15,7 +15,7 @@ pub struct Case {
 }
 
 /// The clean clip first: all others are compared with it.
-pub const CASES: [Case; 21] = [
+pub const CASES: [Case; 22] = [
     Case { name: "clean", what: "the clip as it is", spoil: |_, _| {} },
     Case { name: "focal-unknown", what: "no camera given", spoil: |f, _| f.camera = None },
     Case { name: "focal-long", what: "focal length 30 % too long", spoil: |f, _| scale_focal(f, 1.3) },
@@ -45,6 +45,7 @@ pub const CASES: [Case; 21] = [
     Case { name: "feet-cut", what: "a tenth of the person cut off below", spoil: images::feet_cut },
     Case { name: "head-cut", what: "a tenth of the person cut off above", spoil: images::head_cut },
     Case { name: "gains", what: "light changes by up to a fifth from frame to frame", spoil: images::gains },
+    Case { name: "shaken", what: "a camera held in the hand, which sways and trembles", spoil: hand::shaken },
 ];
 
 fn scale_focal(footage: &mut Footage, factor: f64) {

@@ -5,6 +5,7 @@
 mod cases;
 mod document;
 mod footage;
+mod hand;
 mod images;
 mod keypoints;
 mod masks;
