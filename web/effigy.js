@@ -40,8 +40,7 @@ function askForKey() {
 
 // ---- what went wrong -----------------------------------------------------------------------------------------------
 
-function show(problem) {
-  const box = $("problem");
+function show(problem, box = $("problem")) {
   box.hidden = !problem;
   box.replaceChildren();
   if (!problem) return;
@@ -85,6 +84,7 @@ function multipart(fields) {
     const value = fields.elements[name].value;
     if (value !== "") options[name] = name === "preset" ? value : Number(value);
   }
+  if (fields.elements.trust_camera.checked) options.trust_camera = true;
   const form = new FormData();
   for (const name of ["video", "masks", "keypoints", "camera", "poses"]) {
     const file = fields.elements[name].files[0];
@@ -120,8 +120,9 @@ async function watch(id) {
   watched?.abort();
   watched = new AbortController();
   const { signal } = watched;
-  $("result").hidden = true;
-  $("preview").hidden = true;
+  for (const hidden of ["result", "preview", "cancel", "retry", "job-problem"]) $(hidden).hidden = true;
+  for (const emptied of ["state", "stage", "eta", "losses"]) $(emptied).textContent = "";
+  $("progress").value = 0;
   $("job").hidden = false;
   $("job-id").textContent = id;
   let last = null;
@@ -133,7 +134,7 @@ async function watch(id) {
       last = await follow(id, last, signal);
     } catch (problem) {
       if (signal.aborted) return;
-      show(problem);
+      show(problem, $("job-problem"));
       if (problem.problem?.status) return;
       await new Promise((resolve) => setTimeout(resolve, 2000)); // the server was away
     }
@@ -164,7 +165,9 @@ async function follow(id, last, signal) {
         continue;
       }
       if (data.state && ENDED.includes(data.state)) return last;
-      draw(data.state ? { state: data.state } : { state: "running", ...data });
+      // Whoever asks for an end hears of progress until the worker has heard of it too.
+      const running = $("state").textContent === "canceling" ? "canceling" : "running";
+      draw(data.state ? { state: data.state } : { state: running, ...data });
     }
   }
 }
@@ -181,7 +184,7 @@ function draw(job) {
   $("cancel").hidden = !["queued", "running"].includes(job.state);
   $("retry").hidden = !["failed", "canceled"].includes(job.state);
   if (job.preview_url) preview(job.preview_url, watched.signal);
-  show(job.error ? new Problem({ ...job.error, title: `The fit failed (${job.error.type})` }) : null);
+  show(job.error ? new Problem({ ...job.error, title: `The fit failed (${job.error.type})` }) : null, $("job-problem"));
   if (job.avatar) result(job.avatar);
 }
 
@@ -203,7 +206,7 @@ const wish = (what) => async () => {
     await call(`v1/jobs/${location.hash.slice(1)}/${what}`, { method: "POST" });
     watch(location.hash.slice(1));
   } catch (problem) {
-    show(problem);
+    show(problem, $("job-problem"));
   }
 };
 $("cancel").addEventListener("click", wish("cancel"));
@@ -230,7 +233,7 @@ async function result(id) {
     $("report").replaceChildren(...rows(avatar.metrics).map(([name, value]) => row([name, value])));
     await turntable(id, signal);
   } catch (problem) {
-    if (!signal.aborted) show(problem);
+    if (!signal.aborted) show(problem, $("job-problem"));
   }
 }
 
@@ -323,7 +326,7 @@ function drag(image, slider, changed) {
     slider.value = (((from.view + turned) % VIEWS) + VIEWS) % VIEWS;
     changed();
   };
-  image.onpointerup = () => { from = null; };
+  image.onpointerup = image.onpointercancel = () => { from = null; };
 }
 
 // ---- the list ------------------------------------------------------------------------------------------------------

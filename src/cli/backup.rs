@@ -3,6 +3,7 @@
 //! A backup is a data folder of its own: the database as it was at one moment, the bodies, and the files of the jobs in
 //! it. `backup.json` comes last; without it a backup is not whole.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -10,6 +11,7 @@ use effigy::jobs::sqlite::backup::{self, Kept};
 use effigy::jobs::{Env, State};
 use effigy::storage::{Copied, How, Published, Store, write_atomic};
 use serde::{Deserialize, Serialize};
+use uuid::Uuid;
 
 use super::service::open_store;
 use super::settings::WorkerSettings;
@@ -100,13 +102,21 @@ pub async fn restore(args: RestoreArgs) -> Result<()> {
     let in_force = args.settings.resolve()?;
     let to = open_store(&in_force.config.data_dir())?;
     let Some(_lock) = to.lock_server()? else { bail!("a server uses the data folder {}", to.root().display()) };
-    ensure!(!to.database().exists(), "{} exists: move it and its jobs away first", to.database().display());
+    // Of a database that was moved away alone, SQLite would replay the journal into the restored one.
+    for file in to.database_files() {
+        ensure!(!file.exists(), "{} exists: move {} away first", file.display(), Store::OF_THE_QUEUE);
+    }
     let health = backup::examine(&from.database()).await?;
     ensure!(health.integrity == "ok", "the backup's database is damaged: {}", health.integrity);
     ensure!(health.version <= health.known, "the backup was made by a newer version ({})", manifest.effigy);
     let jobs = backup::contents(&from.database()).await?;
     for job in &jobs {
         check(&from, job)?;
+    }
+    let kept: HashSet<Uuid> = jobs.iter().map(|job| job.id).collect();
+    if let Some(other) = to.job_folders()?.into_iter().find(|job| !kept.contains(job)) {
+        // The next server would take it for the remains of an upload.
+        bail!("{} is of a job that the backup does not have: move {} away first", other, Store::OF_THE_QUEUE);
     }
     let mut copied = from.copy_bodies(&to, How::Copy)?;
     for job in &jobs {

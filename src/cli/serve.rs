@@ -9,7 +9,7 @@ use effigy::config::{Auth, Config};
 use effigy::http::{Access, App, ClipInspector, Limits, Openness};
 use effigy::jobs::keys::Keys;
 use effigy::jobs::render::{NoRenderer, Renderer};
-use effigy::jobs::{Env, Queue};
+use effigy::jobs::{Env, Queue, State};
 use effigy::storage::Store;
 use effigy::webhooks::{Courier, Sender, system_lookup};
 use effigy::worker::{Reaper, Supervisor, SupervisorSettings};
@@ -104,11 +104,11 @@ async fn serve(in_force: InForce) -> Result<()> {
     Ok(())
 }
 
-/// Removes what a killed server left half-written.
+/// Removes what a killed server left half-written, and files of expired jobs that are still there.
 async fn clean(store: &Store, queue: &dyn Queue) -> Result<()> {
     let mut known = HashSet::new();
     for job in store.job_folders()? {
-        if queue.get(job).await?.is_some() {
+        if queue.get(job).await?.is_some_and(|job| job.state != State::Expired) {
             known.insert(job);
         }
     }

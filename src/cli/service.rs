@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use effigy::config::{Config, LogFormat};
 use effigy::jobs::sqlite::SqliteQueue;
 use effigy::jobs::{Env, Policy};
@@ -62,8 +62,19 @@ fn open(data_dir: &Path) -> Result<Store> {
     Store::open(data_dir).with_context(|| format!("the data folder {}", data_dir.display()))
 }
 
+/// The queue, made where the data folder is new. A folder that has jobs and no database has lost it: an empty one would take
+/// their files for rubbish.
 pub async fn open_queue(store: &Store, env: &Env, policy: Policy) -> Result<Arc<SqliteQueue>> {
     let path = store.database();
+    if !path.exists() {
+        let orphans = store.job_folders()?.len();
+        ensure!(
+            orphans == 0,
+            "{} is missing, and there are files of {orphans} jobs: put it back, or move {} away and restore a backup",
+            path.display(),
+            Store::OF_THE_QUEUE
+        );
+    }
     let queue = SqliteQueue::open(&path, env.clone(), policy).await;
     Ok(Arc::new(queue.with_context(|| path.display().to_string())?))
 }

@@ -1,4 +1,4 @@
-//! What can go wrong with a request. The only place that knows status codes: everything else names the mistake.
+//! What can go wrong with a request. The only place that knows the statuses of errors: everything else names the mistake.
 
 use axum::Json;
 use axum::http::{HeaderValue, StatusCode, header};
@@ -12,7 +12,7 @@ use crate::jobs::{OptionsError, QueueError, State};
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 #[schema(example = json!({
     "type": "urn:effigy:problem:invalid-input", "title": "The upload cannot be used", "status": 422,
-    "detail": "masks, frame 12: the mask is empty", "part": "masks", "frame": 12, "expected": "a person in every mask",
+    "detail": "masks, frame 12: the mask is empty", "part": "masks", "frame": 12, "expected": "a person in most masks",
 }))]
 pub struct Problem {
     /// Stable name of the kind of problem, for programs.
@@ -218,7 +218,9 @@ pub(super) fn example(status: u16) -> Option<serde_json::Value> {
         400 => ApiError::Malformed {
             detail: words("unknown field `presett`"),
             part: Some(words("options.presett")),
-            expected: Some(words("preset, max_frames, max_side_px, body, seed, height_m, trust_camera, texture_px")),
+            expected: Some(words(
+                "preset, max_frames, max_side_px, body, seed, height_m, trust_camera, texture_px, priority, deadline_secs",
+            )),
         },
         401 => ApiError::Unauthorized(words("the key is unknown, expired or revoked")),
         403 => ApiError::Forbidden(words("the key \"viewer\" lacks the scope \"write\"")),
@@ -240,7 +242,7 @@ pub(super) fn example(status: u16) -> Option<serde_json::Value> {
             detail: words("the mask is empty"),
             part: words("masks"),
             frame: Some(12),
-            expected: words("a person in every mask"),
+            expected: words("a person in most masks"),
         },
         423 => ApiError::Superseded,
         429 => ApiError::TooMany {

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use axum::extract::{MatchedPath, Request};
 use axum::middleware::Next;
@@ -13,6 +13,7 @@ use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
 
 use crate::jobs::{JobError, Queue, QueueError, State};
 
+const UPKEEP: Duration = Duration::from_secs(5);
 /// Seconds.
 const BUCKETS: [f64; 9] = [0.001, 0.005, 0.02, 0.05, 0.1, 0.5, 2.0, 10.0, 60.0];
 
@@ -52,6 +53,16 @@ fn describe() {
 
 pub(super) fn install() {
     recorder();
+}
+
+/// Sums up, for ever, what was counted: until then each request takes a little memory, and nobody may ever ask for the figures.
+pub(super) async fn upkeep() {
+    loop {
+        tokio::time::sleep(UPKEEP).await;
+        if let Some(recorder) = recorder() {
+            recorder.run_upkeep();
+        }
+    }
 }
 
 /// Middleware: counts an answer under the route's pattern, never under the client's path.

@@ -1,4 +1,4 @@
-//! The REST API: one file a resource, [`error`] alone knows status codes.
+//! The REST API: one file a resource, [`error`] alone knows the statuses of errors.
 //!
 //! Handlers know the queue, the store and traits for what is done elsewhere ([`app::Inspector`], the renderer). None
 //! computes: a fit may use every core and a status call is still answered at once.

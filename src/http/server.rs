@@ -31,6 +31,7 @@ pub async fn serve(listener: TcpListener, app: App, stop: impl Future<Output = (
     raise_open_files();
     let feed = tokio::spawn(watch_events(app.clone()));
     let sweep = tokio::spawn(super::uploads::sweep(app.clone()));
+    let upkeep = tokio::spawn(super::metrics::upkeep());
     let closing = app.feed.clone();
     let service = TowerToHyperService::new(super::router(app));
     let mut http = http1::Builder::new();
@@ -58,6 +59,7 @@ pub async fn serve(listener: TcpListener, app: App, stop: impl Future<Output = (
     }
     feed.abort();
     sweep.abort();
+    upkeep.abort();
     Ok(())
 }
 

@@ -326,9 +326,12 @@ pub async fn a_full_queue_takes_no_more(b: Bench) {
     b.queue.cancel(last).await.unwrap();
     assert!(!b.queue.is_full().await.unwrap());
     b.add().await;
+    // A retried job waits like any other.
+    assert!(matches!(b.queue.retry(last).await.unwrap(), Change::Full));
+    assert_eq!(b.queue.get(last).await.unwrap().unwrap().state, State::Canceled, "it may be retried later");
     // Running jobs do not wait.
     b.claim().await.unwrap();
-    b.add().await;
+    assert!(matches!(b.queue.retry(last).await.unwrap(), Change::Done(_)));
 }
 
 pub async fn repeats_wait_longer_each_time(b: Bench) {

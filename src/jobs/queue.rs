@@ -88,6 +88,8 @@ pub enum Change {
     Done(Job),
     /// Its state does not allow it.
     Refused(Job),
+    /// As many jobs wait as may.
+    Full,
     Unknown,
 }
 

@@ -45,6 +45,9 @@ pub struct Store {
 }
 
 impl Store {
+    /// What belongs together, for people who move it: rows without their files are as useless as the other way round.
+    pub const OF_THE_QUEUE: &str = "effigy.db, effigy.db-wal, effigy.db-shm and jobs";
+
     /// Makes the folders that are missing.
     pub fn open(root: &Path) -> io::Result<Store> {
         fs::create_dir_all(root)?;
@@ -61,6 +64,11 @@ impl Store {
 
     pub fn database(&self) -> PathBuf {
         self.root.join("effigy.db")
+    }
+
+    /// The database with its journal and the index of that, which a server that was killed leaves behind.
+    pub fn database_files(&self) -> [PathBuf; 3] {
+        ["effigy.db", "effigy.db-wal", "effigy.db-shm"].map(|name| self.root.join(name))
     }
 
     pub fn bodies(&self) -> PathBuf {

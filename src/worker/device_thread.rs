@@ -229,6 +229,8 @@ impl Observer for FitObserver<'_> {
             match task {
                 Task::Draw(drawing) => {
                     answer_with(*drawing, |request, to| self.draughtsman.draw(gpu, request, to));
+                    // Many pictures take long, and none of them is the fit's fault.
+                    self.control.is_alive();
                 }
                 // The claim loop gives one job at a time.
                 Task::Fit { done, .. } => {

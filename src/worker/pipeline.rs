@@ -54,9 +54,9 @@ pub enum Stage {
     Geometry,
     /// Stage 2: the texture field.
     Texture,
-    /// The texture's atlas.
+    /// The texture's atlas and all files of the avatar.
     Bake,
-    /// The files.
+    /// Scores and reports.
     Export,
 }
 

@@ -56,7 +56,7 @@ impl Reaper {
         let store = self.store.clone();
         match tokio::task::spawn_blocking(move || store.delete_job(job)).await {
             Ok(Ok(())) => tracing::info!(%job, "its files are removed"),
-            // The next start of a server removes what has no row.
+            // The next start of a server removes what has no row, or one that has expired.
             Ok(Err(error)) => tracing::warn!(%job, %error, "its files stay"),
             Err(error) => tracing::error!(%job, %error, "removing its files panicked"),
         }

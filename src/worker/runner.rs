@@ -237,8 +237,8 @@ impl Runner {
         for attempt in 1..=END_TRIES {
             match self.write_end(lease, &sealed).await {
                 Ok(standing) => {
-                    let published = sealed.is_ok() && standing != Standing::Lost;
-                    self.tidy(lease, published, !is_repeatable(&sealed)).await;
+                    let mine = standing != Standing::Lost;
+                    self.tidy(lease, mine && sealed.is_ok(), mine && !is_repeatable(&sealed)).await;
                     return;
                 }
                 Err(error) => {
@@ -270,7 +270,7 @@ impl Runner {
     }
 
     /// Removes what nobody needs any more: after success all but the results; else this attempt's results, and where
-    /// a repetition would only repeat the failure, its checkpoints.
+    /// a repetition would only repeat the failure, its checkpoints. Of a lost lease the job is another attempt's by now.
     async fn tidy(&self, lease: &Lease, published: bool, final_failure: bool) {
         let (store, lease) = (self.store.clone(), lease.clone());
         let tidied = tokio::task::spawn_blocking(move || {

@@ -10,7 +10,7 @@ use std::time::Duration;
 use futures_util::future::BoxFuture;
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, Lines};
 use tokio::process::{Child, ChildStdout, Command};
-use tokio::sync::{Semaphore, mpsc, oneshot, watch};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
 use tokio::time::{Instant, timeout_at};
 
 use super::channel::{Answer, Request};
@@ -57,7 +57,8 @@ const MAX_DEATHS: u32 = 2;
 /// Keeps one worker process.
 pub struct Supervisor {
     settings: SupervisorSettings,
-    slots: Semaphore,
+    /// One for each request until it is answered, also where its client has gone away.
+    slots: Arc<Semaphore>,
     next_id: AtomicU64,
     line: Mutex<Line>,
     /// Whether a worker is there; turns with each start and end.
@@ -75,11 +76,12 @@ struct Line {
 struct Waiting {
     to: PathBuf,
     answer: oneshot::Sender<Result<(), RenderError>>,
+    _slot: OwnedSemaphorePermit,
 }
 
 impl Supervisor {
     pub fn new(settings: SupervisorSettings) -> Arc<Supervisor> {
-        let slots = Semaphore::new(settings.queue);
+        let slots = Arc::new(Semaphore::new(settings.queue));
         Arc::new(Supervisor {
             settings,
             slots,
@@ -193,15 +195,15 @@ impl Supervisor {
     }
 
     async fn try_render(&self, request: RenderRequest) -> Result<PathBuf, RenderError> {
-        let _slot = self.slots.try_acquire().map_err(|_| RenderError::Busy)?;
         let deadline = Instant::now() + self.settings.timeout;
         let unavailable = |why: &str| RenderError::Unavailable(why.into());
         for _ in 0..MAX_DEATHS {
+            let slot = self.slots.clone().try_acquire_owned().map_err(|_| RenderError::Busy)?;
             let mut up = self.up.subscribe();
             let there = timeout_at(deadline, up.wait_for(|up| *up)).await;
             there.map_err(|_| unavailable("it is starting"))?.map_err(|_| unavailable("it has ended"))?;
             let id = self.next_id.fetch_add(1, Ordering::Relaxed);
-            let (to, answer) = self.send(id, &request)?;
+            let (to, answer) = self.send(id, &request, slot)?;
             match timeout_at(deadline, answer).await {
                 Ok(Ok(result)) => return result.map(|()| to),
                 // It died with the request; a fresh one may do better.
@@ -217,6 +219,7 @@ impl Supervisor {
         &self,
         id: u64,
         request: &RenderRequest,
+        _slot: OwnedSemaphorePermit,
     ) -> Result<(PathBuf, oneshot::Receiver<Result<(), RenderError>>), RenderError> {
         let extension = match request.what {
             What::Image(_) => "png",
@@ -230,7 +233,7 @@ impl Supervisor {
         let mut present = self.line.lock().unwrap();
         // Where the worker died since it was seen up, dropping `answer` tells the caller.
         if present.requests.as_ref().is_some_and(|requests| requests.send(line).is_ok()) {
-            present.waiting.insert(id, Waiting { to: to.clone(), answer });
+            present.waiting.insert(id, Waiting { to: to.clone(), answer, _slot });
         }
         Ok((to, answered))
     }

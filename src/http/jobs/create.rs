@@ -1,6 +1,7 @@
 //! `POST /v1/jobs`
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::body::to_bytes;
 use axum::extract::multipart::MultipartRejection;
@@ -19,6 +20,8 @@ use crate::jobs::{Clip, Insertion, Job, NewJob, QueueError, Remember, Remembered
 use crate::storage::Store;
 
 /// A JSON body names its parts only.
+/// How long a clip waits for others that are looked at.
+const INSPECTION_WAIT: Duration = Duration::from_secs(120);
 const JSON_LIMIT_BYTES: usize = 64 << 10;
 
 /// Upload a clip and queue the making of its avatar.
@@ -41,7 +44,7 @@ const JSON_LIMIT_BYTES: usize = 64 << 10;
             body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "Larger than the server takes", body = Problem,
             content_type = "application/problem+json"),
-        (status = 415, description = "Not multipart/form-data", body = Problem,
+        (status = 415, description = "Neither multipart/form-data nor application/json", body = Problem,
             content_type = "application/problem+json"),
         (status = 422, description = "A part cannot be used, the parts do not belong together, or the idempotency key was \
             given with another request", body = Problem,
@@ -206,11 +209,16 @@ fn refuse_by_length(headers: &HeaderMap, limit_bytes: u64) -> Result<(), ApiErro
 }
 
 async fn inspect(app: &App, received: Received) -> Result<(Received, Clip), ApiError> {
-    let _permit = app.inspections.acquire().await.map_err(ApiError::internal)?;
+    let permit = tokio::time::timeout(INSPECTION_WAIT, app.inspections.clone().acquire_owned());
+    let permit = permit
+        .await
+        .map_err(|_| ApiError::Busy("other clips are being looked at".into()))?
+        .map_err(ApiError::internal)?;
     let inspector = app.inspector.clone();
-    // The files go along, so that they outlive the look even where the client has gone away.
+    // The files go along, so that they outlive the look even where the client has gone away, and so does the permit.
     let (received, clip) = tokio::task::spawn_blocking(move || {
         let clip = inspector.inspect(&received.files(), &received.options);
+        drop(permit);
         (received, clip)
     })
     .await

@@ -80,6 +80,8 @@ pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> Re
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job did not fail and was not canceled", body = Problem,
             content_type = "application/problem+json"),
+        (status = 429, description = "The queue, or the key's share of it, is full", body = Problem,
+            content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn retry(State(app): State<App>, Path(id): Path<String>) -> Result<Response, ApiError> {
@@ -100,11 +102,10 @@ pub(super) async fn retry(State(app): State<App>, Path(id): Path<String>) -> Res
 )]
 pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
     let job = parse_id("job", &id)?;
-    match delete_row(&app, job).await? {
-        Deletion::Unknown => Err(unknown("job", id)),
-        Deletion::Pending => Ok(StatusCode::ACCEPTED),
-        Deletion::Gone => {
-            // What a crash leaves behind here, the next start removes.
+    // To its end, even if the client goes away: no row means no files. What a crash leaves behind, the next start removes.
+    let deletion = tokio::spawn(async move {
+        let deletion = delete_row(&app, job).await?;
+        if deletion == Deletion::Gone {
             let store = app.store.clone();
             let removed = tokio::task::spawn_blocking(move || {
                 store.delete_job(job)?;
@@ -114,8 +115,13 @@ pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Re
                 std::io::Result::Ok(())
             });
             removed.await.map_err(ApiError::internal)??;
-            Ok(StatusCode::NO_CONTENT)
         }
+        Ok::<_, ApiError>(deletion)
+    });
+    match deletion.await.map_err(ApiError::internal)?? {
+        Deletion::Unknown => Err(unknown("job", id)),
+        Deletion::Pending => Ok(StatusCode::ACCEPTED),
+        Deletion::Gone => Ok(StatusCode::NO_CONTENT),
     }
 }
 
@@ -135,6 +141,7 @@ fn done(change: Change, wish: &'static str, id: String) -> Result<Job, ApiError>
     match change {
         Change::Done(job) => Ok(job),
         Change::Refused(job) => Err(ApiError::Conflict { state: job.state, wish }),
+        Change::Full => Err(ApiError::QueueFull),
         Change::Unknown => Err(unknown("job", id)),
     }
 }

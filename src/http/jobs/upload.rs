@@ -22,15 +22,17 @@ use crate::storage::{Store, Upload};
 #[derive(utoipa::ToSchema)]
 #[expect(dead_code, reason = "describes the form for the API's document; the parts themselves never meet in memory")]
 pub(super) struct UploadForm {
-    /// The clip: any container and codec that FFmpeg reads, or a zip of images in the order of their names.
+    /// The clip: MP4, MOV, Matroska, WebM, AVI and other single files that FFmpeg reads, whatever their codec (no playlists), or
+    /// a zip of images in the order of their names. At most 3,600 frames, 8,192 pixels a side and 4096² in all.
     /// HDR (HLG or PQ) is brought to sRGB.
     #[schema(value_type = String, format = Binary)]
     video: Vec<u8>,
     /// Who is the person: a video or a zip of PNG or JPEG, one for each frame; 128 and above is foreground.
+    /// Frames without anybody are left out, if they are no more than half.
     #[schema(value_type = String, format = Binary)]
     masks: Vec<u8>,
-    /// 2D keypoints: `{"format": "coco17", "frames": [[[x, y, confidence] × 17] × N]}` (confidence 0 = not seen), or a
-    /// zip of OpenPose's JSON files, one for each frame.
+    /// 2D keypoints: `{"format": "coco17", "frames": [[[x, y, confidence] × 17] × N]}` (confidence 0 = not seen; `coco18` and
+    /// `body25` are OpenPose's orders), or a zip of OpenPose's JSON files, one for each frame.
     #[schema(value_type = String, format = Binary)]
     keypoints: Vec<u8>,
     /// `{width, height, fx, fy, cx, cy}` in pixels, pixel centres at half integers, with optional distortion

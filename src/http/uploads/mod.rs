@@ -255,9 +255,11 @@ async fn remove(State(app): State<App>, caller: Caller, Path(id): Path<String>) 
     params(
         ("id" = String, Path, description = "The upload's id"),
         ("x-http-method-override" = String, Header, description = "PATCH, DELETE or HEAD"),
+        ("tus-resumable" = String, Header, description = "1.0.0"),
     ),
     responses(
-        (status = 204, description = "As the method answers"),
+        (status = 200, description = "As HEAD answers"),
+        (status = 204, description = "As PATCH and DELETE answer"),
         (status = 405, description = "Another method, or none", body = Problem,
             content_type = "application/problem+json"),
     )

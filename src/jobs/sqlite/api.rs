@@ -125,6 +125,11 @@ impl SqliteQueue {
     pub(super) async fn retry_job(&self, id: Uuid) -> Result<Change, QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
+        let is_full = self.is_full_in(&mut tx).await?;
+        let within_quota = match rows::owner(&mut tx, id).await? {
+            Some(Some(key)) => self.check_quota(&mut tx, key, 0).await,
+            _ => Ok(()),
+        };
         let changed = sqlx::query(
             "UPDATE jobs SET state = 'queued', attempt = 0, excused = 0, saved = 0, run_at = ?1, error = NULL, finished_at = NULL, \
              deadline_at = ?1 + 1000 * json_extract(options, '$.deadline_secs'), expires_at = NULL, cancel_requested_at = NULL, updated_at = ?1, version = version + 1 \
@@ -138,6 +143,10 @@ impl SqliteQueue {
         let Some(job) = rows::read(&mut tx, id).await? else { return Ok(Change::Unknown) };
         if changed == 0 {
             return Ok(Change::Refused(job));
+        }
+        within_quota?;
+        if is_full {
+            return Ok(Change::Full);
         }
         add_state_event(&mut tx, &job).await?;
         tx.commit().await?;

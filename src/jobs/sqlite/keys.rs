@@ -191,13 +191,7 @@ impl Keys for SqliteQueue {
     }
 
     fn owner_of(&self, job: Uuid) -> Answer<'_, Option<Option<Uuid>>> {
-        Box::pin(async move {
-            let row = sqlx::query("SELECT key_id FROM jobs WHERE id = ?")
-                .bind(job.to_string())
-                .fetch_optional(&self.readers)
-                .await?;
-            row.map(|row| rows::optional_id(&row, "key_id")).transpose()
-        })
+        Box::pin(async move { rows::owner(&mut *self.readers.acquire().await?, job).await })
     }
 
     fn kept_bytes(&self, key: Uuid) -> Answer<'_, u64> {

@@ -123,6 +123,13 @@ pub(super) async fn read(connection: &mut SqliteConnection, job_id: Uuid) -> Res
     row.as_ref().map(job).transpose()
 }
 
+/// The key that a job belongs to, if it belongs to one; `None` where there is no such job.
+pub(super) async fn owner(connection: &mut SqliteConnection, job_id: Uuid) -> Result<Option<Option<Uuid>>, QueueError> {
+    let row =
+        sqlx::query("SELECT key_id FROM jobs WHERE id = ?").bind(job_id.to_string()).fetch_optional(connection).await?;
+    row.map(|row| optional_id(&row, "key_id")).transpose()
+}
+
 pub(super) async fn remembered(connection: &mut SqliteConnection, key: &str) -> Result<Option<Remembered>, QueueError> {
     let row = sqlx::query("SELECT fingerprint, answer FROM idempotency_keys WHERE key = ?")
         .bind(key)

@@ -173,6 +173,30 @@ async fn a_worker_that_lost_its_lease_stops_and_writes_nothing() {
 }
 
 #[tokio::test]
+async fn a_worker_that_lost_its_lease_leaves_the_next_attempt_alone() {
+    let bench = Bench::new().await;
+    let id = bench.add().await;
+    let (go_on, waits) = std::sync::mpsc::channel::<()>();
+    let waits = Mutex::new(waits);
+    let (shutdown, late) = bench.worker(move |_, _| {
+        waits.lock().unwrap().recv().unwrap();
+        Err(PipelineError::Unfit("nobody is there".into()))
+    });
+    let owner = bench.until(id, State::Running).await.owner.unwrap();
+    shutdown.send(true).unwrap();
+    bench.queue.release_owner(&owner).await.unwrap();
+    let (_shutdown, _worker) = bench.worker(|task, _| {
+        fs::write(task.out_dir.join("avatar.glb"), b"fresh").unwrap();
+        Ok(outcome())
+    });
+    bench.until(id, State::Succeeded).await;
+    go_on.send(()).unwrap();
+    late.await.unwrap().unwrap();
+    assert_eq!(fs::read(bench.store.results(id, 2).join("avatar.glb")).unwrap(), b"fresh");
+    assert!(!bench.store.results(id, 1).exists());
+}
+
+#[tokio::test]
 async fn only_the_dead_lose_their_leases_at_once() {
     let bench = Bench::new().await;
     let (one, two) = (bench.add().await, bench.add().await);

@@ -87,7 +87,28 @@ async fn too_many_renders_are_refused_at_once() {
     assert!(matches!(supervisor.render(request()).await, Err(RenderError::Busy)));
     drop(first);
     let mut next = supervisor.render(request());
-    assert!(is_waiting(&mut next).await, "a client that went away leaves its place");
+    assert!(is_waiting(&mut next).await, "a client that went away before a worker was there leaves its place");
+    supervisor.stop();
+}
+
+#[tokio::test]
+async fn a_picture_that_nobody_waits_for_has_its_place_until_it_is_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let go = folder.path().join("go");
+    let script = format!("while [ ! -e {} ]; do sleep 0.01; done\n{ANSWERING}", go.display());
+    let supervisor = supervise(folder.path(), &script, |s| s.queue = 1);
+    while supervisor.trouble().is_some() {
+        tokio::task::yield_now().await;
+    }
+    let mut first = supervisor.render(request());
+    assert!(is_waiting(&mut first).await);
+    drop(first);
+    assert!(matches!(supervisor.render(request()).await, Err(RenderError::Busy)));
+    std::fs::write(go, "").unwrap();
+    while let Err(busy) = supervisor.render(request()).await {
+        assert!(matches!(busy, RenderError::Busy), "{busy:?}");
+        tokio::task::yield_now().await;
+    }
     supervisor.stop();
 }
 

@@ -160,6 +160,8 @@ async fn a_quota_of_waiting_jobs_and_of_bytes_holds() {
     let path = format!("/v1/jobs/{}/cancel", first.json()["id"].as_str().unwrap());
     few.call(Method::POST, &path, "").await;
     assert_eq!(few.upload(&Form::clip()).await.status, 202, "a canceled job does not wait");
+    let again = few.call(Method::POST, &path.replace("cancel", "retry"), "").await;
+    assert_eq!(again.problem(429)["type"], "urn:effigy:problem:quota-exceeded", "a retried one does");
 
     let kept = small.upload(&Form::clip()).await.json();
     // What is left is less than such an upload.

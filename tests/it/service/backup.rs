@@ -85,7 +85,7 @@ async fn a_backup_of_a_busy_service_is_restored_whole() {
         assert!(!folder.join("ballast").exists());
     }
     assert!(restored.status.success(), "{}", String::from_utf8_lossy(&restored.stderr));
-    refused(&effigy("restore", &backup, &elsewhere), "move it and its jobs away");
+    refused(&effigy("restore", &backup, &elsewhere), "effigy.db exists: move effigy.db, effigy.db-wal");
     let serve = Serve::start(&elsewhere, &["--workers", "0"]);
     let get = |path: String| async move { reqwest::get(path).await.unwrap().bytes().await.unwrap() };
     let glb = get(format!("{}/v1/avatars/{done}/avatar.glb", serve.url)).await;
@@ -124,6 +124,37 @@ async fn a_damaged_backup_is_refused_by_the_name_of_the_file() {
     for folder in ["a", "b", "c"] {
         assert!(!place.path().join(folder).join("effigy.db").exists(), "nothing is restored from it");
     }
+}
+
+#[tokio::test]
+async fn files_of_jobs_whose_database_is_lost_are_kept() {
+    let bench = Bench::new().await;
+    let kept = bench.add_whole_job().await;
+    let place = tempfile::tempdir().unwrap();
+    let backup = place.path().join("backup");
+    assert!(effigy("backup", &backup, bench.store.root()).status.success());
+    let newer = bench.add_whole_job().await;
+    let data = bench.store.root();
+    let clip = |job: Uuid| std::fs::read(bench.store.inputs(job).join("video"));
+
+    // A journal of another database would be replayed into the one that is restored.
+    let [database, journal, index] = bench.store.database_files();
+    for file in [&database, &index] {
+        std::fs::remove_file(file).unwrap();
+    }
+    refused(&effigy("restore", &backup, data), "effigy.db-wal exists");
+    std::fs::remove_file(journal).unwrap();
+    // An empty database, or an older one, would not know the jobs.
+    let mut serve = Command::new(env!("CARGO_BIN_EXE_effigy"));
+    serve.args(["serve", "--listen", "127.0.0.1:0", "--data-dir"]).arg(data);
+    refused(&serve.output().unwrap(), "there are files of 2 jobs");
+    assert!(!database.exists());
+    refused(&effigy("restore", &backup, data), &format!("{newer} is of a job that the backup does not have"));
+    assert_eq!((clip(kept).unwrap(), clip(newer).unwrap()), (b"clip".to_vec(), b"clip".to_vec()));
+
+    bench.store.delete_job(newer).unwrap();
+    let restored = effigy("restore", &backup, data);
+    assert!(restored.status.success(), "{}", String::from_utf8_lossy(&restored.stderr));
 }
 
 /// `effigy-0.1.0.db` was made by version 0.1.0, one job in each state (its first, and then only, migration).
