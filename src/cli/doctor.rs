@@ -158,7 +158,8 @@ fn disk(data: &Path) -> Check {
 
 fn body(data: &Path) -> Check {
     let path = data.join("bodies").join("default.body.npz");
-    let mend = "import it: scripts/body.sh EFFIGY, or `effigy body import` of the wheel (README)";
+    let data = data.display();
+    let mend = format!("import it: EFFIGY_DATA_DIR={data} scripts/body.sh EFFIGY, or effigy body import FILE");
     match Body::load(&path) {
         Ok(body) => Check::ok("body", format!("{} vertices, {} faces", body.n_vertices(), body.n_faces())),
         Err(_) if !path.exists() => Check::failed("body", format!("there is no {}", path.display()), mend),
@@ -180,7 +181,7 @@ async fn database(data: &Path, config: &Config) -> Vec<Check> {
     if !path.exists() {
         return vec![Check::ok("database", "none yet; the first start makes it"), access(false)];
     }
-    let restore = "stop the service, move effigy.db away, and restore a backup (docs/operating.md)";
+    let restore = "stop the service, move effigy.db* and jobs away, and restore a backup (docs/operating.md)";
     match examine(&path).await {
         Err(error) => return vec![Check::failed("database", error.to_string(), restore)],
         Ok(health) if health.integrity != "ok" => return vec![Check::failed("database", health.integrity, restore)],

@@ -1,4 +1,4 @@
-//! A folder of truth: `camera.json`, `masks.zip`, `novel/novel.json` with its pictures, `truth/frame_*.ply` and
+//! A folder of truth: `masks.zip`, `novel/novel.json` with its pictures, `truth/frame_*.ply` and
 //! `truth/joints3d.json`. What is absent is not evaluated.
 
 use std::io::{BufReader, Cursor, Read};

@@ -165,7 +165,7 @@ impl FitConfig {
         self.geometry.phases.iter().chain(&self.texture.phases)
     }
 
-    /// A first look: half resolution, few passes.
+    /// A first look: geometry at half resolution, few passes.
     pub fn draft(seed: u64) -> Self {
         let mut config = Self::standard(seed);
         config.geometry.phases = vec![Phase { epochs: 20, ..COARSE }];

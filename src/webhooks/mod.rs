@@ -1,5 +1,5 @@
-//! Sends what `jobs::webhooks` has written down: signed as Standard Webhooks, to public addresses only, again and again
-//! until it is taken.
+//! Sends what `jobs::webhooks` has written down: signed as Standard Webhooks, to public addresses only (unless
+//! `webhooks_to_private`), again and again until it is taken.
 
 mod sender;
 mod sign;

@@ -1,4 +1,4 @@
-//! Host side of `shaders/shared/adam_step.wgsl`.
+//! Host side of `adam/step` and `adam/step4`.
 
 use std::ops::Range;
 use std::sync::Arc;
