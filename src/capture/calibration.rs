@@ -223,6 +223,8 @@ mod tests {
             ("width", "-1", "`width` is -1"),
             ("distortion", "[1, 2, 3, 4, 5, 6]", "`distortion` has 6 numbers"),
             ("distortion", "[null]", "`distortion` is [null]"),
+            ("distortion", r#"{"k1": 0.1, "k4": 0.2}"#, "`distortion` has a `k4`"),
+            ("k4", "0.2", "there is a `k4`"),
             ("rotation", "[[1, 0, 0], [0, 1, 0], [0, 0, 2]]", "`rotation` is no rotation"),
             ("rotation", "[1, 0, 0, 0, 1, 0, 0, 0, -1]", "`rotation` is no rotation"),
             ("rotation", "[1, 0]", "`rotation` has 2 numbers"),

@@ -306,6 +306,15 @@ mod tests {
     }
 
     #[test]
+    fn a_clocks_unit_is_no_frame_rate() {
+        assert_eq!(frame_rate("30000/1001"), Some(30_000.0 / 1001.0));
+        assert_eq!(frame_rate("240/1"), Some(240.0));
+        for odd in ["1000/1", "90000/1", "0/0", "1/0", "0/1", "30"] {
+            assert_eq!(frame_rate(odd), None, "{odd}");
+        }
+    }
+
+    #[test]
     fn headers_of_pixmaps() {
         assert_eq!(read_header(&mut &b"P6\n360 640\n255\nxyz"[..]), Some((360, 640)));
         assert_eq!(read_header(&mut &b""[..]), None);

@@ -189,6 +189,9 @@ fn cameras_and_poses_of_another_clip() {
     let double = r#"{"width": 128, "height": 192, "fx": 160, "fy": 160, "cx": 64, "cy": 96}"#;
     clip.inputs.camera = clip.add("camera", double);
     assert_error(&clip, Part::Camera, None, "the camera is of 128×192 images; divide");
+    let folding = r#"{"width": 64, "height": 96, "fx": 80, "fy": 80, "cx": 32, "cy": 48, "k1": -5}"#;
+    clip.inputs.camera = clip.add("camera", folding);
+    assert_error(&clip, Part::Camera, None, "the distortion folds the image over");
     clip.inputs.camera = None;
     let mut npz = NpzWriter::new(Cursor::new(Vec::new()));
     npz.add("poses", &[5, 72], &[0.0f32; 360]).unwrap();

@@ -125,7 +125,10 @@ pub enum Stage0Error {
     UnknownFormat(String, String),
     #[error("frame {frame}: {found} keypoints, expected {expected}")]
     KeypointCount { frame: usize, found: usize, expected: usize },
-    #[error("no frame shows enough of a standing person: at least a head or shoulder and a leg are needed")]
+    #[error(
+        "no frame shows enough of a person who stands upright: at least a head or shoulder, and a leg below it (where a tag of \
+         the video turns its images, masks and keypoints have to be turned too)"
+    )]
     NobodyFound,
     #[error("poses: frame {frame}: {found} values, expected 72")]
     PoseLength { frame: usize, found: usize },
