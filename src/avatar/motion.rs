@@ -18,12 +18,13 @@ pub fn write_motion<W: Write + Seek>(model: &AvatarModel, out: W) -> Result<W, N
     npz.finish()
 }
 
-/// Kept frames a second.
+/// Kept frames a second, but for gaps where nobody was there: the mean step without those of more than twice the usual one.
 fn kept_frame_rate(model: &AvatarModel) -> f64 {
-    match model.frames[..] {
-        [first, .., last] if last > first => model.fps * (model.frames.len() - 1) as f64 / (last - first) as f64,
-        _ => model.fps,
-    }
+    let mut steps: Vec<u32> = model.frames.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
+    steps.sort_unstable();
+    let Some(&usual) = steps.get(steps.len() / 2).filter(|&&step| step > 0) else { return model.fps };
+    steps.retain(|&step| step <= 2 * usual);
+    model.fps * steps.len() as f64 / f64::from(steps.iter().sum::<u32>())
 }
 
 #[cfg(test)]
@@ -44,5 +45,20 @@ mod tests {
         assert_eq!(npz.shaped("frames", &[n]).unwrap().data[1], model.frames[1] as f64);
         // Every second frame of a 30 Hz video was kept.
         assert_eq!(npz.scalar("mocap_framerate").unwrap(), 15.0);
+    }
+
+    #[test]
+    fn a_gap_does_not_slow_the_rest() {
+        let mut model = crate::avatar::testing::turning_avatar();
+        model.frames.iter_mut().skip(2).for_each(|frame| *frame += 100);
+        assert_eq!(kept_frame_rate(&model), 15.0);
+        model.frames = vec![0, 1, 3, 4, 6];
+        assert_eq!(
+            kept_frame_rate(&model),
+            model.fps * 4.0 / 6.0,
+            "frames that are spread evenly lie one or two apart"
+        );
+        model.frames = vec![7];
+        assert_eq!(kept_frame_rate(&model), model.fps);
     }
 }

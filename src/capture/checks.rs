@@ -19,8 +19,8 @@ pub(super) struct MaskCheck {
 }
 
 impl MaskCheck {
-    /// The bounding box of the foreground; `None` where there is (nearly) none: such a frame is left out, and where they are
-    /// most of all that is an error at the end.
+    /// The bounding box of the foreground; `None` where there is (nearly) none: such a frame is left out, and if more than half
+    /// are empty, that is an error at the end.
     pub fn look(&mut self, frame: usize, mask: &Picture) -> Option<Rect> {
         let (width, height) = (mask.width as usize, mask.height as usize);
         let (mut x0, mut x1, mut y0, mut y1, mut pixels) = (width, 0, height, 0, 0);
@@ -74,7 +74,7 @@ impl MaskCheck {
 #[derive(Default)]
 pub(super) struct KeypointCheck {
     seen: usize,
-    /// Frames in which several people are, and none of them on the mask.
+    /// Frames with several people, none of them on the mask.
     beside: usize,
     off_mask: usize,
     outside: usize,

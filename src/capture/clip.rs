@@ -212,7 +212,7 @@ impl Clip {
                     if let (Some(poses), Some(bounds)) = (known, bounds) {
                         pose_check.look(index, poses, self.camera.as_ref(), bounds);
                     }
-                    // Whoever is not there has no keypoints; what a detector finds then is somebody else.
+                    // Where the mask tells nobody, a detector may have found somebody else.
                     self.points.push(match bounds {
                         Some(_) => keypoint_check.choose(index, &self.keypoints, &mask),
                         None => vec![[0.0; 3]; self.keypoints.format.points],

@@ -178,10 +178,16 @@ async fn database(data: &Path, config: &Config) -> Vec<Check> {
         (_, true) => Check::ok("access", "callers need a key"),
         _ => Check::ok("access", format!("auth = {:?}, no keys, {}", config.auth.text(), config.listen)),
     };
-    if !path.exists() {
-        return vec![Check::ok("database", "none yet; the first start makes it"), access(false)];
-    }
     let restore = "stop the service, move effigy.db* and jobs away, and restore a backup (docs/operating.md)";
+    if !path.exists() {
+        // As the server does, which does not start then.
+        let jobs = std::fs::read_dir(data.join("jobs")).map_or(0, |jobs| jobs.flatten().count());
+        let found = match jobs {
+            0 => Check::ok("database", "none yet; the first start makes it"),
+            _ => Check::failed("database", format!("it is missing, and there are files of {jobs} jobs"), restore),
+        };
+        return vec![found, access(false)];
+    }
     match examine(&path).await {
         Err(error) => return vec![Check::failed("database", error.to_string(), restore)],
         Ok(health) if health.integrity != "ok" => return vec![Check::failed("database", health.integrity, restore)],

@@ -50,7 +50,7 @@ pub struct Args {
     /// Side of the baked texture: 2048 or 4096.
     #[arg(long, default_value_t = 2048)]
     texture_px: u32,
-    /// Where the avatar goes. A checkpoint in it is gone on from if it is of the same files and options.
+    /// Where the avatar goes. A checkpoint in it is gone on from if this program made it of the same files and options.
     #[arg(long, default_value = "avatar")]
     out: PathBuf,
     /// Progress as lines of JSON.
@@ -61,8 +61,8 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     let input = input_of(&args)?;
     let work = args.out.join("work");
-    begin_anew_for_others(&work, &input)?;
     let gpu = Gpu::open(&DeviceSelect::Auto)?;
+    begin_anew_for_others(&work, &input)?;
     let stopped = stop_on_ctrl_c();
     let mut observer = Follower { bar: bar(args.json), json: args.json, stopped };
     let outcome = pipeline::run(&gpu, &input, &data_dir(), &work, &args.out, &mut observer)?;
@@ -84,7 +84,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Leaves `work` to go on from only where it is of these very inputs and options, and otherwise empty.
+/// Leaves `work` to go on from only where this very program has made it of these inputs and options, and otherwise empty.
 fn begin_anew_for_others(work: &Path, input: &PipelineInput) -> anyhow::Result<()> {
     let mut made_of = Fingerprint::of_program()?.with_text(&serde_json::to_string(&input.options)?);
     for part in [&input.video, &input.masks, &input.keypoints].into_iter().chain(&input.camera).chain(&input.poses) {
@@ -96,6 +96,7 @@ fn begin_anew_for_others(work: &Path, input: &PipelineInput) -> anyhow::Result<(
         return Ok(());
     }
     if work.exists() {
+        eprintln!("{} is of other files, options or another program: the fit begins anew", work.display());
         std::fs::remove_dir_all(work).with_context(|| work.display().to_string())?;
     }
     std::fs::create_dir_all(work).with_context(|| work.display().to_string())?;

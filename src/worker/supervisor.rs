@@ -76,7 +76,7 @@ struct Line {
 struct Waiting {
     to: PathBuf,
     answer: oneshot::Sender<Result<(), RenderError>>,
-    _slot: OwnedSemaphorePermit,
+    slot: OwnedSemaphorePermit,
 }
 
 impl Supervisor {
@@ -180,11 +180,12 @@ impl Supervisor {
 
     fn pass(&self, answer: Answer) {
         let waiting = self.line.lock().unwrap().waiting.remove(&answer.id);
-        if let Some(waiting) = waiting
-            && let Err(Ok(())) = waiting.answer.send(answer.result)
-        {
+        let Some(Waiting { to, answer: waits, slot }) = waiting else { return };
+        // Whoever is answered finds the place free.
+        drop(slot);
+        if let Err(Ok(())) = waits.send(answer.result) {
             // The client went away meanwhile. What a crash leaves, the next start removes.
-            let _ = std::fs::remove_file(&waiting.to);
+            let _ = std::fs::remove_file(to);
         }
     }
 
@@ -219,7 +220,7 @@ impl Supervisor {
         &self,
         id: u64,
         request: &RenderRequest,
-        _slot: OwnedSemaphorePermit,
+        slot: OwnedSemaphorePermit,
     ) -> Result<(PathBuf, oneshot::Receiver<Result<(), RenderError>>), RenderError> {
         let extension = match request.what {
             What::Image(_) => "png",
@@ -233,7 +234,7 @@ impl Supervisor {
         let mut present = self.line.lock().unwrap();
         // Where the worker died since it was seen up, dropping `answer` tells the caller.
         if present.requests.as_ref().is_some_and(|requests| requests.send(line).is_ok()) {
-            present.waiting.insert(id, Waiting { to: to.clone(), answer, _slot });
+            present.waiting.insert(id, Waiting { to: to.clone(), answer, slot });
         }
         Ok((to, answered))
     }

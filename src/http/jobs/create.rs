@@ -19,9 +19,9 @@ use crate::http::pace::Lateness;
 use crate::jobs::{Clip, Insertion, Job, NewJob, QueueError, Remember, Remembered};
 use crate::storage::Store;
 
-/// A JSON body names its parts only.
 /// How long a clip waits for others that are looked at.
 const INSPECTION_WAIT: Duration = Duration::from_secs(120);
+/// A JSON body names its parts only.
 const JSON_LIMIT_BYTES: usize = 64 << 10;
 
 /// Upload a clip and queue the making of its avatar.
@@ -51,6 +51,8 @@ const JSON_LIMIT_BYTES: usize = 64 << 10;
             content_type = "application/problem+json"),
         (status = 429, description = "So many jobs wait that no more are taken, or more than the caller's key allows", body = Problem,
             content_type = "application/problem+json", headers(("retry-after" = u32, description = "Seconds"))),
+        (status = 503, description = "Other clips are being looked at, or another request uses an upload; try again",
+            body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The server's disk has no room but its reserve", body = Problem,
             content_type = "application/problem+json"),
     )

@@ -80,7 +80,7 @@ pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> Re
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job did not fail and was not canceled", body = Problem,
             content_type = "application/problem+json"),
-        (status = 429, description = "The queue, or the key's share of it, is full", body = Problem,
+        (status = 429, description = "The queue, or the key's share of it, is full, or there are too many requests a minute", body = Problem,
             content_type = "application/problem+json"),
     )
 )]

@@ -116,11 +116,12 @@ fn look_closer(
             let large = Capture::load_frames(&input.capture_inputs(), &closer.frames, closer.side_px);
             let mut large = match large {
                 Ok(large) => large,
-                // The fit has ended, and its texture is an avatar's.
-                Err(error) => {
+                // The fit is done, and without detail it is still a whole avatar.
+                Err(error) if error.bad_input().is_some() => {
                     tracing::warn!(%error, "the texture gets no detail: larger pictures cannot be had");
                     return Ok(None);
                 }
+                Err(error) => return Err(error.into()),
             };
             let offsets = closer.of(&quality::edge_offsets(measures)).into_iter();
             let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * closer.gain)).collect();
