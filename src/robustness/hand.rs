@@ -93,7 +93,7 @@ mod tests {
         shaken(&mut moved, &mut Pcg64::seed_from_u64(5));
         assert_eq!((&moved.frames[0], &moved.masks[0]), (&clean.frames[0], &clean.masks[0]), "the first picture stays");
         assert_eq!(moved.keypoints.frames[0], clean.keypoints.frames[0]);
-        // The box's middle, from the mask and from what moved the joints (10 and 11 are its lower corners).
+        // The mask's middle goes the way of a keypoint next to it.
         let middle = |f: &Footage, t: usize| {
             let inside = || f.masks[t].enumerate_pixels().filter(|(_, _, m)| m.0[0] >= 128);
             let sum = inside().fold(DVec2::ZERO, |sum, (x, y, _)| sum + DVec2::new(f64::from(x), f64::from(y)) + 0.5);
