@@ -1,6 +1,6 @@
 //! The walk through a clip: video and masks frame by frame, everything checked against everything.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use super::checks::{KeypointCheck, MaskCheck, PoseCheck, check_not_normalised};
@@ -70,8 +70,12 @@ impl Capture {
     /// Decodes, checks, undistorts, scales, subsamples and crops a clip; keypoints of frames that are left out smooth those of
     /// the others. Only the crops of the frames kept are ever in memory together.
     pub fn load(inputs: &CaptureInputs, options: &CaptureOptions) -> Result<Self, CaptureError> {
-        let clip = Clip::open(inputs, false, Instant::now() + LOAD_TIME)?;
-        let kept = subsample(clip.keypoints.frames.len(), options.max_frames as usize);
+        let deadline = Instant::now() + LOAD_TIME;
+        let clip = Clip::open(inputs, false, deadline)?;
+        let (count, most) = (clip.keypoints.frames.len(), options.max_frames as usize);
+        let shown: Vec<usize> =
+            if count > most { with_somebody(&inputs.masks, count, deadline)? } else { (0..count).collect() };
+        let kept: Vec<usize> = subsample(shown.len(), most).into_iter().map(|i| shown[i]).collect();
         Self::of(clip, &kept, options.max_side_px)
     }
 
@@ -91,6 +95,7 @@ impl Capture {
     fn of(mut clip: Clip, kept: &[usize], max_side_px: u32) -> Result<Self, CaptureError> {
         let mut rectify = None;
         let mut frames = Vec::with_capacity(kept.len());
+        let mut vanished = Vec::new();
         let camera = clip.camera.clone();
         clip.walk(
             |index| kept.binary_search(&index).is_ok(),
@@ -100,7 +105,10 @@ impl Capture {
                     rectify = Some(Rectify::new(camera, max_side_px.max(16))?);
                 }
                 if let (Some(rectify), Some(bounds)) = (&rectify, still.bounds) {
-                    frames.push(cut_out(rectify, &still, bounds)?);
+                    match cut_out(rectify, &still, bounds) {
+                        Some(frame) => frames.push(frame),
+                        None => vanished.push(still.index),
+                    }
                 }
                 Ok(())
             },
@@ -108,6 +116,16 @@ impl Capture {
         let Some(rectify) = rectify else {
             return Err(BadInput::new(Part::Video, "0 frames could be read", "at least one frame").into());
         };
+        if let Some(&first) = vanished.first() {
+            let (width, height) = (rectify.camera.width, rectify.camera.height);
+            let message = format!("nothing of the mask is left at {width}×{height} pixels");
+            if frames.is_empty() {
+                let expected = "a person that is larger in the image";
+                return Err(BadInput::new(Part::Masks, message, expected).at(first).into());
+            }
+            let count = format!("{} of {}", vanished.len(), vanished.len() + frames.len());
+            clip.warnings.push(format!("masks: {message} in {count} frames, the first of them {first}: left out"));
+        }
         if frames.is_empty() {
             let message = format!("of the {} frames that are kept, each has an empty mask", kept.len());
             return Err(BadInput::new(Part::Masks, message, "a person in most masks").into());
@@ -130,6 +148,20 @@ impl Capture {
             warnings: clip.warnings,
         })
     }
+}
+
+/// The numbers of the frames whose masks are not empty, of the first `count`; a fit that cannot have all frames takes its own
+/// from these. Sizes and counts are the walk's to check.
+fn with_somebody(masks: &Path, count: usize, deadline: Instant) -> Result<Vec<usize>, CaptureError> {
+    let mut masks = Source::open(Part::Masks, masks, Pixels::Mask, false, deadline)?;
+    let (mut check, mut shown) = (MaskCheck::default(), Vec::new());
+    for index in 0..count {
+        let Some(mask) = masks.next(true)? else { break };
+        if check.look(index, &mask).is_some() {
+            shown.push(index);
+        }
+    }
+    Ok(shown)
 }
 
 /// `most` of `count` frames, evenly spread from the first one on.
@@ -293,17 +325,14 @@ fn rectified(rectify: &Rectify, points: &[Point]) -> Vec<[f32; 3]> {
 }
 
 /// The rectified crop round the person, without keypoints: the mask's box, and a margin of 12 pixels and 4 % of its longer
-/// side.
-fn cut_out(rectify: &Rectify, still: &Still<'_>, bounds: Rect) -> Result<Frame, BadInput> {
+/// side. `None` where nothing of the mask is left at that size.
+fn cut_out(rectify: &Rectify, still: &Still<'_>, bounds: Rect) -> Option<Frame> {
     let (width, height) = (rectify.camera.width, rectify.camera.height);
     let rough = rectify.bounds(bounds);
-    let Some(exact) = foreground_box(&rectify.mask(still.mask, rough), rough) else {
-        let message = format!("nothing of the mask is left at {width}×{height} pixels");
-        return Err(BadInput::new(Part::Masks, message, "a person that is larger in the image").at(still.index));
-    };
+    let exact = foreground_box(&rectify.mask(still.mask, rough), rough)?;
     let margin = 12 + exact.width().max(exact.height()) / 25;
     let crop = exact.grown(margin, width, height);
-    Ok(Frame {
+    Some(Frame {
         index: still.index as u32,
         x0: crop.x0,
         y0: crop.y0,

@@ -51,6 +51,12 @@ fn mask_png(i: usize) -> Vec<u8> {
     png(&mask(i), WIDTH, HEIGHT, image::ExtendedColorType::L8)
 }
 
+/// A mask of the pixels (x, y) that `is_foreground` names.
+fn mask_of(is_foreground: impl Fn(u32, u32) -> bool) -> Vec<u8> {
+    let values = (0..WIDTH * HEIGHT).map(|p| if is_foreground(p % WIDTH, p / WIDTH) { 255 } else { 0 });
+    png(&values.collect::<Vec<u8>>(), WIDTH, HEIGHT, image::ExtendedColorType::L8)
+}
+
 fn rgb_png(i: usize) -> Vec<u8> {
     png(&rgb(i), WIDTH, HEIGHT, image::ExtendedColorType::Rgb8)
 }
@@ -399,6 +405,26 @@ fn frames_before_the_person_comes_are_left_out() {
         let same = &whole.frames[frame.index as usize];
         assert_eq!((&frame.rgb, &frame.keypoints), (&same.rgb, &same.keypoints));
     }
+}
+
+#[test]
+fn the_frames_that_are_kept_have_somebody_in_them() {
+    let clip = Clip::new();
+    let (nobody, speck) = (mask_of(|_, _| false), mask_of(|x, y| (21..23).contains(&x) && (31..33).contains(&y)));
+    let masks = |i| match i {
+        0..4 => nobody.clone(),
+        6 => speck.clone(),
+        _ => mask_png(i),
+    };
+    clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), masks(i)))));
+    let capture = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }).unwrap();
+    // Of 4 to 11 each second one, without the speck, of which half the size leaves nothing.
+    assert_eq!(capture.frames.iter().map(|frame| frame.index).collect::<Vec<_>>(), [4, 8, 10]);
+    let warnings = [
+        "masks: 4 of 12 are empty, the first of them 0: those frames are left out",
+        "masks: nothing of the mask is left at 32×48 pixels in 1 of 4 frames, the first of them 6: left out",
+    ];
+    assert_eq!(capture.warnings, warnings);
 }
 
 #[test]
