@@ -244,7 +244,7 @@ pub(super) fn check_not_normalised(keypoints: &Keypoints) -> Result<(), BadInput
 
 #[cfg(test)]
 mod tests {
-    use super::super::keypoints::COCO17;
+    use super::super::keypoint_formats::COCO17;
     use super::*;
 
     /// 100×80, foreground where 40 ≤ x < 60 and 10 ≤ y < 70.

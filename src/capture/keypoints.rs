@@ -8,31 +8,13 @@ use std::path::Path;
 use serde::Deserializer as _;
 use serde::de::{DeserializeSeed, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
+use super::keypoint_formats::{Format, NAMES};
 use super::{BadInput, CaptureError, Part, archive, limits, openpose};
 
 /// x, y, confidence.
 pub(super) type Point = [f64; 3];
 
-/// A convention of keypoints.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Format {
-    pub name: &'static str,
-    pub points: usize,
-}
-
-pub(super) const COCO17: Format = Format { name: "coco17", points: 17 };
-pub(super) const COCO18: Format = Format { name: "coco18", points: 18 };
-pub(super) const BODY25: Format = Format { name: "body25", points: 25 };
-
-impl Format {
-    /// By its name, whatever its case, hyphens and underscores.
-    fn named(name: &str) -> Option<Self> {
-        let plain: String = name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect();
-        [COCO17, COCO18, BODY25].into_iter().find(|format| format.name == plain)
-    }
-}
-
-/// Points as they were sent; confidences within [0, 1].
+/// Points as they were sent, but those of wider formats in body25's order; confidences within [0, 1].
 #[derive(Debug)]
 pub(super) struct Keypoints {
     pub format: Format,
@@ -76,16 +58,19 @@ fn parse_json(reader: impl std::io::Read) -> Result<Keypoints, BadInput> {
     let Some(name) = format else { return Err(BadInput::new(Part::Keypoints, "`format` is missing", EXPECTED)) };
     let Some(format) = Format::named(&name) else {
         let name: String = name.chars().take(40).collect();
-        return Err(BadInput::new(Part::Keypoints, format!("format `{name}` is unknown"), "coco17, coco18 or body25"));
+        return Err(BadInput::new(Part::Keypoints, format!("format `{name}` is unknown"), NAMES));
     };
     let Some(frames) = frames else { return Err(BadInput::new(Part::Keypoints, "`frames` is missing", EXPECTED)) };
     for (i, frame) in frames.iter().enumerate() {
-        if frame.len() != format.points {
+        if frame.len() != format.points && !frame.is_empty() {
             let expected = format!("{} points, as {} has", format.points, format.name);
             return Err(BadInput::new(Part::Keypoints, format!("there are {} points", frame.len()), expected).at(i));
         }
     }
-    Ok(Keypoints { format, frames: frames.into_iter().map(|frame| vec![frame]).collect(), warnings: Vec::new() })
+    // A detector that saw nobody wrote no points.
+    let people = |frame: Vec<Point>| if frame.is_empty() { Vec::new() } else { vec![format.to_used(frame)] };
+    let frames = frames.into_iter().map(people).collect();
+    Ok(Keypoints { format: format.used(), frames, warnings: Vec::new() })
 }
 
 /// A parser's error, with the frame and the point that it was at.
@@ -212,6 +197,7 @@ impl<'de> Visitor<'de> for OnePoint {
 
 #[cfg(test)]
 mod tests {
+    use super::super::keypoint_formats::{BODY25, COCO17};
     use super::*;
 
     fn document(point: &str) -> String {
@@ -221,19 +207,20 @@ mod tests {
     }
 
     #[test]
-    fn formats_match_without_case_and_hyphens() {
-        for name in ["coco17", "COCO-17", "coco_17"] {
-            assert_eq!(Format::named(name), Some(COCO17));
-        }
-        assert_eq!(Format::named("BODY_25"), Some(BODY25));
-        assert_eq!(Format::named("coco19"), None);
-    }
-
-    #[test]
     fn a_document_with_extra_keys_is_read() {
         let keypoints = parse_json(document("[3, 4, 0]").as_bytes()).unwrap();
         assert_eq!((keypoints.format, keypoints.frames.len()), (COCO17, 2));
         assert_eq!(keypoints.frames[1][0][0], [3.0, 4.0, 0.0]);
+    }
+
+    #[test]
+    fn wider_formats_become_body25_and_a_frame_without_points_has_nobody() {
+        let frame = format!("[{}]", (0..33).map(|k| format!("[{k}, 0, 1]")).collect::<Vec<_>>().join(","));
+        let text = format!(r#"{{"format": "mediapipe33", "frames": [{frame}, [], {frame}]}}"#);
+        let keypoints = parse_json(text.as_bytes()).unwrap();
+        assert_eq!((keypoints.format, keypoints.frames[1].len()), (BODY25, 0));
+        let person = &keypoints.frames[2][0];
+        assert_eq!((person.len(), person[0], person[1], person[2]), (25, [0.0, 0.0, 1.0], [0.0; 3], [12.0, 0.0, 1.0]));
     }
 
     #[test]
@@ -253,7 +240,7 @@ mod tests {
         for (text, message) in [
             (r#"{"frames": []}"#, "`format` is missing"),
             (r#"{"format": "coco17"}"#, "`frames` is missing"),
-            (r#"{"format": "halpe", "frames": []}"#, "format `halpe` is unknown"),
+            (r#"{"format": "coco19", "frames": []}"#, "format `coco19` is unknown"),
             ("[]", "the JSON cannot be used"),
             ("hello", "the JSON cannot be used"),
             (r#"{"format": "coco17", "frames": {}}"#, "the JSON cannot be used"),

@@ -12,6 +12,7 @@ mod confine;
 mod error;
 mod hdr;
 mod images;
+mod keypoint_formats;
 mod keypoints;
 mod lens;
 mod limits;

@@ -5,7 +5,8 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::archive::Archive;
-use super::keypoints::{BODY25, COCO17, COCO18, Format, Keypoints, Point};
+use super::keypoint_formats::Format;
+use super::keypoints::{Keypoints, Point};
 use super::{BadInput, CaptureError, Part, limits};
 
 const EXPECTED: &str = r#"OpenPose's JSON: {"people": [{"pose_keypoints_2d": [x, y, confidence, …]}]}"#;
@@ -34,7 +35,7 @@ pub(super) fn read(path: &Path) -> Result<Keypoints, CaptureError> {
     let Some(format) = format else {
         return Err(BadInput::new(Part::Keypoints, "nobody is in any frame", "a person in most frames").into());
     };
-    Ok(Keypoints { format, frames, warnings: Vec::new() })
+    Ok(Keypoints { format: format.used(), frames, warnings: Vec::new() })
 }
 
 fn read_frame(bytes: &[u8], format: &mut Option<Format>) -> Result<Vec<Vec<Point>>, BadInput> {
@@ -47,16 +48,16 @@ fn read_frame(bytes: &[u8], format: &mut Option<Format>) -> Result<Vec<Vec<Point
     let mut people = Vec::with_capacity(file.people.len());
     for person in &file.people {
         let count = person.pose_keypoints_2d.len();
-        let known = [BODY25, COCO18, COCO17].into_iter().find(|format| format.points * 3 == count);
+        let known = Format::of_count(count / 3).filter(|format| format.points * 3 == count);
         let Some(known) = known else {
-            let expected = "75 (body25), 54 (coco18) or 51 (coco17)";
+            let expected = "75 (body25), 54 (coco18), 51 (coco17), 78 (halpe26) or 399 (wholebody133)";
             return Err(BadInput::new(Part::Keypoints, format!("`pose_keypoints_2d` has {count} numbers"), expected));
         };
         if *format.get_or_insert(known) != known {
             let expected = "the same format in all frames";
             return Err(BadInput::new(Part::Keypoints, format!("the points are {}", known.name), expected));
         }
-        people.push(read_points(&person.pose_keypoints_2d)?);
+        people.push(known.to_used(read_points(&person.pose_keypoints_2d)?));
     }
     Ok(people)
 }
@@ -74,6 +75,7 @@ fn read_points(values: &[Value]) -> Result<Vec<Point>, BadInput> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::keypoint_formats::COCO18;
     use super::*;
 
     #[test]

@@ -31,8 +31,9 @@ pub(super) struct UploadForm {
     /// Frames without anybody are left out, if they are no more than half.
     #[schema(value_type = String, format = Binary)]
     masks: Vec<u8>,
-    /// 2D keypoints: `{"format": "coco17", "frames": [[[x, y, confidence] × 17] × N]}` (confidence 0 = not seen; `coco18` and
-    /// `body25` are OpenPose's orders), or a zip of OpenPose's JSON files, one for each frame.
+    /// 2D keypoints in the video's pixels: `{"format": "coco17", "frames": [[[x, y, confidence] × 17] × N]}`, or a zip of
+    /// OpenPose's JSON files, one for each frame. Confidence 0 = not seen; a frame where nobody was found is `[]`. Other formats:
+    /// `coco18` and `body25` (OpenPose), `mediapipe33`, `halpe26`, `wholebody133`.
     #[schema(value_type = String, format = Binary)]
     keypoints: Vec<u8>,
     /// `{width, height, fx, fy, cx, cy}` in pixels, pixel centres at half integers, with optional distortion
