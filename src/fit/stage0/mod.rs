@@ -183,6 +183,8 @@ pub fn solve(
     }
     let mut best = likeliest(candidates).ok_or(Stage0Error::NobodyFound)?;
     report.costs.push(best.cost);
+    // Only now: a reading that faces the wrong way must not be rid of the face that contradicts it.
+    sides::ignore_hidden_faces(&mut best.problem, &best.state);
     for _ in 0..FINE_ROUNDS {
         best.tighten(FINE_RHO);
         best.descend(1e-4, &mut clock)?;

@@ -1,7 +1,9 @@
 //! Reads the detections again in the light of the fit: which limbs have their sides swapped, how noisy the
 //! detector is, and which points are wrong.
 
-use super::landmarks::GROUPS;
+use glam::DVec3;
+
+use super::landmarks::{GROUPS, Part};
 use super::problem::{Problem, Scales};
 use super::state::State;
 
@@ -74,6 +76,29 @@ pub fn reread(problem: &mut Problem, state: &State, scales: &Scales, swapped: &m
             if exchanged + MARGIN < kept {
                 swap_group(problem, t, g);
                 flags[g] ^= true;
+            }
+        }
+    }
+}
+
+/// Chest and head, which both look away where a face is hidden.
+const FACING_JOINTS: [usize; 2] = [9, 15];
+/// Cosine between where they look and where the camera is: from here on the head is in front of nose and eyes.
+const HIDES_FACE: f64 = -0.3;
+
+/// Takes nose and eyes of heads that are seen from behind for unseen. Some detectors (MediaPipe's) guess them there, with the
+/// same confidence as in front: they would nod the head.
+pub fn ignore_hidden_faces(problem: &mut Problem, state: &State) {
+    for (t, frame) in state.frames.iter().enumerate() {
+        let posed = problem.rig.pose(frame, &state.shared);
+        let looks_away =
+            |j: usize| (posed.rotations[j] * DVec3::Z).dot(-posed.positions[j].normalize_or_zero()) < HIDES_FACE;
+        if !FACING_JOINTS.into_iter().all(looks_away) {
+            continue;
+        }
+        for (landmark, seen) in problem.landmarks.iter().zip(&mut problem.observations[t]) {
+            if matches!(landmark.part, Part::Nose | Part::Eye) {
+                seen.weight = 0.0;
             }
         }
     }
