@@ -42,7 +42,7 @@ pub struct Inspection {
     pub width: u32,
     pub height: u32,
     pub fps: f64,
-    /// `coco17`, `coco18` or `body25`
+    /// `coco17`, `coco18` or `body25`, as which wider formats are read
     pub keypoint_format: String,
     pub has_camera: bool,
     pub has_poses: bool,

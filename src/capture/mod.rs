@@ -74,7 +74,7 @@ pub struct Capture {
     /// Frames a second of the uploaded video.
     pub fps: f64,
     pub frames: Vec<Frame>,
-    /// `coco17`, `coco18` or `body25`
+    /// `coco17`, `coco18` or `body25`, as which wider formats are read
     pub keypoint_format: String,
     pub poses: Option<KnownPoses>,
     /// What was odd but not wrong, for the report: one line each.

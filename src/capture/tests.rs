@@ -425,6 +425,11 @@ fn the_frames_that_are_kept_have_somebody_in_them() {
         "masks: nothing of the mask is left at 32×48 pixels in 1 of 4 frames, the first of them 6: left out",
     ];
     assert_eq!(capture.warnings, warnings);
+    // Masks that are a video are gone through twice as well.
+    let black = |i| if i < 4 { vec![0; (WIDTH * HEIGHT) as usize] } else { mask(i) };
+    clip.masks(&encode((0..COUNT).map(black), "gray", &["-c:v", "ffv1", "-f", "matroska"]));
+    let capture = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }).unwrap();
+    assert_eq!(capture.frames.iter().map(|frame| frame.index).collect::<Vec<_>>(), [4, 6, 8, 10]);
 }
 
 #[test]
