@@ -85,7 +85,7 @@ settings! {
     serve workers: Workers = "1";
     /// The largest upload, all parts together.
     serve max_upload_bytes: Bytes = "4GiB";
-    /// So many resumable uploads that no job has used yet may be open.
+    /// So many resumable uploads that no job has used yet may be open, a quarter of them of one key.
     serve max_open_uploads: u32 = "100";
     /// The bytes of all open resumable uploads together.
     serve max_open_upload_bytes: Bytes = "32GiB";

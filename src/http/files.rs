@@ -1,5 +1,6 @@
 //! `GET /v1/avatars/{id}/{file}`: published files with ranges and strong ETags (RFC 9110).
 
+use std::io;
 use std::path::Path as FilePath;
 
 use axum::body::Body;
@@ -54,10 +55,27 @@ pub(super) async fn file(
 
 /// Sends a published file. Only names that the database knows reach the file system.
 pub(super) async fn published(app: &App, id: &str, name: &str, headers: &HeaderMap) -> Result<Response, ApiError> {
-    let avatar = find(app, id).await?;
-    let file = avatar.files.iter().find(|file| file.name == name).ok_or_else(|| unknown("file", name))?;
-    let path = app.store.results(avatar.id, avatar.epoch).join(&file.name);
-    send(&path, file, headers).await
+    let mut avatar = find(app, id).await?;
+    loop {
+        let file = avatar.files.iter().find(|file| file.name == name).ok_or_else(|| unknown("file", name))?;
+        let path = app.store.results(avatar.id, avatar.epoch).join(&file.name);
+        match send(&path, file, headers).await {
+            // Since the database was asked, the avatar was deleted, or has expired, or was made anew.
+            Err(error) if is_missing(&error) => {
+                let now = find(app, id).await?;
+                if now.epoch == avatar.epoch {
+                    return Err(error);
+                }
+                avatar = now;
+            }
+            answer => return answer,
+        }
+    }
+}
+
+fn is_missing(error: &ApiError) -> bool {
+    let ApiError::Internal(cause) = error else { return false };
+    cause.downcast_ref::<io::Error>().is_some_and(|cause| cause.kind() == io::ErrorKind::NotFound)
 }
 
 async fn send(path: &FilePath, file: &AvatarFile, headers: &HeaderMap) -> Result<Response, ApiError> {

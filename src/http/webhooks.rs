@@ -94,6 +94,8 @@ pub(super) struct WebhookList {
             headers(("location" = String, description = "Where to ask for it"))),
         (status = 400, description = "No JSON, or an unknown field", body = Problem,
             content_type = "application/problem+json"),
+        (status = 429, description = "The key has as many webhooks as it may", body = Problem,
+            content_type = "application/problem+json"),
         (status = 422, description = "Not https, not public, or an unknown event", body = Problem,
             content_type = "application/problem+json"),
     )

@@ -460,13 +460,17 @@ pub async fn deletion_waits_for_the_worker(b: Bench) {
 pub async fn retention_removes_the_avatar_and_keeps_the_job(b: Bench) {
     let id = b.add().await;
     let lease = b.claim().await.unwrap();
+    b.queue.report(&lease, &report(0.5)).await.unwrap();
     b.queue.succeed(&lease, avatar()).await.unwrap();
     b.clock.advance(Duration::from_secs(3599));
     assert_eq!(b.queue.reap().await.unwrap(), Reaped::default());
+    assert!(b.queue.events(id, 0, 100).await.unwrap().iter().any(|event| event.kind != EventKind::State));
     b.clock.advance(Duration::from_secs(1));
     assert_eq!(b.queue.reap().await.unwrap().expired, [id]);
     assert_eq!(b.job(id).await.state, State::Expired);
     assert!(b.queue.avatar(id).await.unwrap().is_none());
+    assert!(b.queue.events(id, 0, 100).await.unwrap().iter().all(|event| event.kind == EventKind::State));
+    assert_eq!(b.states(id).await, ["queued", "running", "succeeded", "expired"]);
     assert_eq!(b.queue.reap().await.unwrap(), Reaped::default());
     assert!(matches!(b.queue.retry(id).await.unwrap(), Change::Refused(_)), "its inputs are gone");
 }

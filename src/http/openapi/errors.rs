@@ -32,6 +32,7 @@ pub(super) fn complete(path: &str, operation: &mut Operation) {
         (has_query || id == "jobs_events", 400, "A parameter cannot be used: the answer names it"),
         (is_tus, 412, "`Tus-Resumable` is missing or names another version"),
         (id == "uploads_append" || is_any_tus, 423, "A newer request works on this upload"),
+        (is_tus, 503, "Another request works on this upload, or begins one, and does not end"),
         (is_any_tus, 400, "A header is missing or wrong, or the body ended early"),
         (is_any_tus, 404, "No such upload"),
         (is_any_tus, 408, "The bytes came too slowly"),

@@ -113,7 +113,7 @@ async fn begin(State(app): State<App>, caller: Caller, given: HeaderMap) -> Resu
     let (most, most_bytes) = (limits.open_uploads, limits.open_upload_bytes);
     let begun = tokio::task::spawn_blocking(move || {
         let open = store.open_resumables()?;
-        refuse_too_many(&open, bytes, most, most_bytes)?;
+        refuse_too_many(&open, &about, most, most_bytes)?;
         refuse_beyond_quota(&open, &about, quota)?;
         // What was promised to others has a claim on the room, too.
         let outstanding = open.iter().map(|(other, came)| other.bytes.saturating_sub(*came)).sum::<u64>();
@@ -132,9 +132,24 @@ async fn begin(State(app): State<App>, caller: Caller, given: HeaderMap) -> Resu
     Ok((StatusCode::CREATED, location, expires).into_response())
 }
 
-fn refuse_too_many(open: &[(AboutUpload, u64)], bytes: u64, most: usize, most_bytes: u64) -> Result<(), ApiError> {
+/// A key may hold this part of all open uploads, so that others can begin some, too.
+const KEYS_SHARE: usize = 4;
+
+fn refuse_too_many(
+    open: &[(AboutUpload, u64)],
+    asked: &AboutUpload,
+    most: usize,
+    most_bytes: u64,
+) -> Result<(), ApiError> {
+    let bytes = asked.bytes;
     if open.len() >= most {
         return Err(ApiError::TooManyUploads { expected: format!("at most {most} uploads that no job has used yet") });
+    }
+    let share = most.div_ceil(KEYS_SHARE);
+    if asked.owner.is_some() && open.iter().filter(|(about, _)| about.owner == asked.owner).count() >= share {
+        return Err(ApiError::TooManyUploads {
+            expected: format!("at most {share} uploads of one key that no job has used yet"),
+        });
     }
     let total = open.iter().map(|(about, _)| about.bytes).sum::<u64>();
     if total.saturating_add(bytes) > most_bytes {

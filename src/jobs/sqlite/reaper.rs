@@ -98,6 +98,11 @@ impl SqliteQueue {
             .execute(&mut **tx)
             .await?;
             let job = rows::read(tx, job.id).await?.ok_or(sqlx::Error::RowNotFound)?;
+            // How its fit went on is told with the avatar; what stays is which states the job was in.
+            sqlx::query("DELETE FROM events WHERE job_id = ? AND kind != 'state'")
+                .bind(job.id.to_string())
+                .execute(&mut **tx)
+                .await?;
             add_state_event(tx, &job).await?;
         }
         Ok(due.iter().map(|job| job.id).collect())

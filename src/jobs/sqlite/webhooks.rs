@@ -6,7 +6,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 use uuid::Uuid;
 
-use super::super::webhooks::{Attempt, Delivery, Due, KEPT, NewWebhook, SCHEDULE, TOLD, Webhook, Webhooks, event_type};
+use super::super::webhooks::{Attempt, Delivery, Due, KEPT, MOST_OF_A_KEY, NewWebhook, SCHEDULE, TOLD, Webhook, Webhooks, event_type};
 use super::super::{Job, QueueError, State, Timestamp};
 use super::{SqliteQueue, rows};
 
@@ -48,11 +48,19 @@ pub(super) async fn tell(connection: &mut SqliteConnection, job: &Job) -> Result
 impl SqliteQueue {
     async fn insert_webhook(&self, new: NewWebhook) -> Result<Webhook, QueueError> {
         let mut tx = self.write().await?;
+        let key = new.key.map(|key| key.to_string());
+        let others: i64 = sqlx::query_scalar("SELECT count(*) FROM webhooks WHERE key_id IS ?")
+            .bind(&key)
+            .fetch_one(&mut *tx)
+            .await?;
+        if others as u64 >= MOST_OF_A_KEY {
+            return Err(QueueError::Quota { what: "webhooks", limit: MOST_OF_A_KEY });
+        }
         let row = sqlx::query(
             "INSERT INTO webhooks (id, key_id, url, secret, events, created_at) VALUES (?, ?, ?, ?, ?, ?) RETURNING *",
         )
         .bind(self.env.new_id().to_string())
-        .bind(new.key.map(|key| key.to_string()))
+        .bind(key)
         .bind(new.url)
         .bind(new.secret)
         .bind(rows::to_json(&new.events))
@@ -95,12 +103,17 @@ impl SqliteQueue {
         found.iter().map(delivery).collect()
     }
 
-    async fn due_now(&self, limit: u32) -> Result<Vec<Due>, QueueError> {
+    async fn due_now(&self, limit: u32, of_one: u32) -> Result<Vec<Due>, QueueError> {
         let found = sqlx::query(
-            "SELECT d.id, d.payload, d.attempts, w.url, w.secret FROM deliveries d JOIN webhooks w ON w.id = d.webhook_id \
-             WHERE d.next_at <= ? AND w.disabled_at IS NULL ORDER BY d.next_at, d.rowid LIMIT ?",
+            "SELECT id, payload, attempts, url, secret FROM ( \
+               SELECT d.id, d.payload, d.attempts, w.url, w.secret, d.next_at, d.rowid AS row, \
+               row_number() OVER (PARTITION BY d.webhook_id ORDER BY d.next_at, d.rowid) AS turn \
+               FROM deliveries d JOIN webhooks w ON w.id = d.webhook_id \
+               WHERE d.next_at <= ? AND w.disabled_at IS NULL \
+             ) WHERE turn <= ? ORDER BY turn, next_at, row LIMIT ?",
         )
         .bind(self.env.now().0)
+        .bind(of_one)
         .bind(limit)
         .fetch_all(&self.readers)
         .await?;
@@ -147,6 +160,13 @@ impl SqliteQueue {
             )
             .bind(id)
             .bind(now.0)
+            .execute(&mut *tx)
+            .await?;
+            sqlx::query(
+                "UPDATE deliveries SET next_at = NULL, last_error = 'the receiver wants no more' WHERE next_at IS NOT NULL \
+                 AND webhook_id = (SELECT webhook_id FROM deliveries WHERE id = ?)",
+            )
+            .bind(id)
             .execute(&mut *tx)
             .await?;
         }
@@ -204,8 +224,8 @@ impl Webhooks for SqliteQueue {
         Box::pin(self.deliveries_of(webhook, limit))
     }
 
-    fn due(&self, limit: u32) -> Answer<'_, Vec<Due>> {
-        Box::pin(self.due_now(limit))
+    fn due(&self, limit: u32, of_one: u32) -> Answer<'_, Vec<Due>> {
+        Box::pin(self.due_now(limit, of_one))
     }
 
     fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> Answer<'a, ()> {

@@ -29,6 +29,9 @@ pub const SCHEDULE: [Duration; 9] = [
 /// Deliveries that are over are kept so long, for those who look what came of them.
 pub const KEPT: Duration = Duration::from_secs(30 * 86_400);
 
+/// Each change of a job writes a message for every webhook of its key: one key has no more of them.
+pub const MOST_OF_A_KEY: u64 = 100;
+
 /// `job.<state>`: what a webhook can hear of.
 pub fn event_type(state: State) -> String {
     format!("job.{}", state.name())
@@ -90,6 +93,7 @@ pub enum Attempt {
 
 /// The webhooks of a service. `only` limits a call to those of a key.
 pub trait Webhooks: Send + Sync + 'static {
+    /// Refused beyond [`MOST_OF_A_KEY`].
     fn create_webhook(&self, new: NewWebhook) -> Answer<'_, Webhook>;
     /// The newest first.
     fn webhooks(&self, only: Option<Uuid>) -> Answer<'_, Vec<Webhook>>;
@@ -98,8 +102,9 @@ pub trait Webhooks: Send + Sync + 'static {
     fn delete_webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, bool>;
     /// The newest first.
     fn deliveries(&self, webhook: Uuid, limit: u32) -> Answer<'_, Vec<Delivery>>;
-    /// What is to be sent now, the longest due first.
-    fn due(&self, limit: u32) -> Answer<'_, Vec<Due>>;
-    /// Writes what came of an attempt: over, or due again by [`SCHEDULE`]. 410 disables the webhook.
+    /// What is to be sent now: of each webhook no more than `of_one`, each webhook's longest due before any other's second.
+    fn due(&self, limit: u32, of_one: u32) -> Answer<'_, Vec<Due>>;
+    /// Writes what came of an attempt: over, or due again by [`SCHEDULE`]. 410 disables the webhook, and nothing more of it
+    /// waits.
     fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> Answer<'a, ()>;
 }

@@ -208,6 +208,14 @@ async fn resumable_uploads_are_ones_own_and_count_towards_the_quota() {
     assert!(theft["detail"].as_str().unwrap().contains("there is no upload"), "{theft}");
     assert_eq!(ask(&one, Method::DELETE, path, 0).await.status, 204);
     assert_eq!(ask(&one, Method::POST, "/v1/uploads", 500).await.status, 201, "what is given up counts no more");
+
+    // Nor can one key hold all the places: a quarter of the usual hundred. It has two.
+    for _ in 2..25 {
+        assert_eq!(ask(&one, Method::POST, "/v1/uploads", 0).await.status, 201);
+    }
+    let refused = ask(&one, Method::POST, "/v1/uploads", 0).await.problem(429);
+    assert!(refused["expected"].as_str().unwrap().contains("at most 25 uploads of one key"), "{refused}");
+    assert_eq!(ask(&two, Method::POST, "/v1/uploads", 0).await.status, 201);
 }
 
 #[tokio::test]

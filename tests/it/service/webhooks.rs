@@ -186,12 +186,69 @@ async fn gone_is_for_ever_and_a_redirection_leads_nowhere() {
     assert_eq!((&shown["last_status"], shown["next_at"].is_string()), (&json!(307), true));
     assert_eq!(receiver.take().len(), 1);
     receiver.status.store(410, Ordering::Relaxed);
+    assert_eq!(bench.queue.figures().await.unwrap().deliveries, 1);
     bench.publish(&[]).await;
     courier.round().await.unwrap();
     assert_eq!(receiver.take().len(), 1);
+    let shown = bench.deliveries(&webhook).await;
+    assert!(shown.len() == 2 && shown.iter().all(|message| message["next_at"].is_null()), "{shown:?}");
+    assert_eq!(bench.queue.figures().await.unwrap().deliveries, 0, "the other one waits for nothing");
     bench.publish(&[]).await;
     assert_eq!(courier.round().await.unwrap(), 0);
     assert!(bench.get("/v1/webhooks").await.json()["webhooks"][0]["disabled_at"].is_string());
+}
+
+#[tokio::test]
+async fn a_receiver_that_never_answers_holds_up_its_own_messages() {
+    let receiver = Receiver::start().await;
+    let (bench, _) = Bench::telling(true).await;
+    // Takes connections, and says nothing.
+    let mute = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let url = format!("http://{}/", mute.local_addr().unwrap());
+    bench.subscribe(json!({ "url": url })).await;
+    for _ in 0..100 {
+        bench.publish(&[]).await;
+    }
+    bench.subscribe(json!({ "url": format!("http://{}/", receiver.address) })).await;
+    let told = bench.publish(&[]).await;
+    let courier = tokio::spawn(bench.courier(system_lookup(), true).run());
+    let mut held = Vec::new();
+    let mut second = None;
+    // An attempt ends after 15 s at the earliest.
+    let all = tokio::time::timeout(Duration::from_secs(10), async {
+        loop {
+            tokio::select! {
+                connection = mute.accept() => held.push(connection.unwrap()),
+                () = tokio::time::sleep(Duration::from_millis(20)) => {}
+            }
+            let got = receiver.got.lock().unwrap().clone();
+            if got.iter().any(|got| got.body.contains(&told.to_string())) && second.is_none() {
+                second = Some(bench.publish(&[]).await);
+            }
+            if second.is_some_and(|second| got.iter().any(|got| got.body.contains(&second.to_string()))) {
+                break;
+            }
+        }
+    });
+    all.await.expect("the other receiver waits for the mute one");
+    courier.abort();
+    assert_eq!(receiver.take().len(), 2, "each once");
+    assert!((1..=4).contains(&held.len()), "{} connections to one receiver", held.len());
+}
+
+#[tokio::test]
+async fn a_key_has_so_many_webhooks_and_no_more() {
+    let (bench, _) = Bench::telling(true).await;
+    for _ in 0..100 {
+        bench.subscribe(json!({ "url": "https://hooks.example/" })).await;
+    }
+    let made = bench.post_json("/v1/webhooks", &json!({ "url": "https://hooks.example/" })).await;
+    assert_eq!(made.problem(429)["type"], "urn:effigy:problem:quota-exceeded");
+    let listed = bench.get("/v1/webhooks").await.json()["webhooks"].as_array().unwrap().clone();
+    assert_eq!(listed.len(), 100);
+    let path = format!("/v1/webhooks/{}", listed[0]["id"].as_str().unwrap());
+    assert_eq!(bench.call(Method::DELETE, &path, &[], Body::empty()).await.status, 204);
+    bench.subscribe(json!({ "url": "https://hooks.example/" })).await;
 }
 
 /// A name service that gives these addresses, and counts how often it was asked.
