@@ -12,7 +12,8 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> values: array<f32>; // [N, K]
-@group(0) @binding(2) var<storage, read_write> grads: array<f32>; // [N, K]
+@group(0) @binding(2) var<storage, read> spacing: array<f32>; // [N, 2]: beta, alpha
+@group(0) @binding(3) var<storage, read_write> grads: array<f32>; // [N, K]
 
 fn vector(frame: u32) -> vec3<f32> {
     let at = frame * params.stride;
@@ -35,19 +36,20 @@ fn turn(frame: u32) -> Turn {
     return Turn(s, q[0][0] + q[1][1] + q[2][2] >= params.least_trace);
 }
 
-// s of a frame less s of the frame before; zero at the clip's ends and beside a gap.
+// alpha s of a frame less beta s of the frame before; zero at the clip's ends and beside a gap.
 fn acceleration(frame: u32) -> vec3<f32> {
-    if frame == 0u {
+    if frame == 0u || frame + 1u >= params.n_frames {
         return vec3<f32>(0.0);
     }
     let before = turn(frame - 1u);
     let after = turn(frame);
-    return select(vec3<f32>(0.0), after.s - before.s, before.known && after.known);
+    return select(vec3<f32>(0.0), spacing[2u * frame + 1u] * after.s - spacing[2u * frame] * before.s, before.known && after.known);
 }
 
 // The gradient by Q of the turn from a frame to the next.
 fn by_turn(frame: u32) -> mat3x3<f32> {
-    let g = 0.5 * params.factor * (acceleration(frame) - acceleration(frame + 1u));
+    let by_step = spacing[2u * frame + 1u] * acceleration(frame) - spacing[2u * frame + 2u] * acceleration(frame + 1u);
+    let g = 0.5 * params.factor * by_step;
     return mat3x3<f32>(vec3<f32>(0.0, g.z, -g.y), vec3<f32>(-g.z, 0.0, g.x), vec3<f32>(g.y, -g.x, 0.0));
 }
 

@@ -13,10 +13,19 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> values: array<f32>; // [N, K]
 @group(0) @binding(2) var<storage, read> expected: array<f32>; // [N, K]
-@group(0) @binding(3) var<storage, read_write> grads: array<f32>; // [N, K]
+@group(0) @binding(3) var<storage, read> spacing: array<f32>; // [N, 2]: beta, alpha
+@group(0) @binding(4) var<storage, read_write> grads: array<f32>; // [N, K]
 
 fn value(frame: u32, k: u32) -> f32 {
     return values[frame * params.stride + k];
+}
+
+fn beta(frame: u32) -> f32 {
+    return spacing[2u * frame];
+}
+
+fn alpha(frame: u32) -> f32 {
+    return spacing[2u * frame + 1u];
 }
 
 // The acceleration at an inner frame beyond the expected one; 0 where a change is a jump.
@@ -26,7 +35,7 @@ fn acceleration(frame: u32, k: u32) -> f32 {
     }
     let before = value(frame, k) - value(frame - 1u, k);
     let after = value(frame + 1u, k) - value(frame, k);
-    let beyond = after - before - expected[frame * params.stride + k];
+    let beyond = alpha(frame) * after - beta(frame) * before - expected[frame * params.stride + k];
     return select(0.0, beyond, max(abs(before), abs(after)) <= params.max_change);
 }
 
@@ -38,9 +47,12 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     if frame >= params.n_frames || k < params.first {
         return;
     }
-    var pull = -2.0 * acceleration(frame, k) + acceleration(frame + 1u, k);
+    var pull = -(alpha(frame) + beta(frame)) * acceleration(frame, k);
+    if frame + 1u < params.n_frames {
+        pull += beta(frame + 1u) * acceleration(frame + 1u, k);
+    }
     if frame > 0u {
-        pull += acceleration(frame - 1u, k);
+        pull += alpha(frame - 1u) * acceleration(frame - 1u, k);
     }
     grads[i] += 2.0 * params.weight * params.inverse_scale2 * pull;
 }

@@ -7,7 +7,7 @@ use crate::body::{JOINT_NAMES, N_JOINTS};
 use crate::gpu::{Gpu, Recorder};
 use crate::ops::anchor::{Anchor, AnchorConfig};
 use crate::ops::angular_acceleration::{AngularAcceleration, AngularAccelerationConfig};
-use crate::ops::temporal::{Temporal, TemporalConfig};
+use crate::ops::temporal::{Temporal, TemporalConfig, spacing};
 
 /// Changes from one frame to the next above these are no motion: radians, metres.
 pub const POSE_JUMP: f32 = 0.5;
@@ -57,12 +57,14 @@ fn anchor_scales(start: &[f32]) -> [[f64; 3]; N_JOINTS] {
 }
 
 /// The accelerations of `values [N, stride]`, those up to `least` left out.
-fn steps(values: &[f32], stride: usize, least: f64) -> Vec<f32> {
+fn steps(values: &[f32], stride: usize, spacing: &[[f64; 2]], least: f64) -> Vec<f32> {
     let mut accelerations = vec![0.0; values.len()];
     for i in stride..values.len().saturating_sub(stride) {
-        let acceleration = values[i + stride] - 2.0 * values[i] + values[i - stride];
-        if f64::from(acceleration.abs()) > least {
-            accelerations[i] = acceleration;
+        let [beta, alpha] = spacing[i / stride];
+        let change = |from: usize, to: usize| f64::from(values[to]) - f64::from(values[from]);
+        let acceleration = alpha * change(i, i + stride) - beta * change(i - stride, i);
+        if acceleration.abs() > least {
+            accelerations[i] = acceleration as f32;
         }
     }
     accelerations
@@ -84,8 +86,10 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// `start [N, 72]`: the poses that the joints are held near, and whose steps go on.
-    pub fn new(gpu: &Gpu, start: &[f32]) -> Self {
+    /// `start [N, 72]`: the poses that the joints are held near, and whose steps go on. `times [N]`: when the frames were
+    /// taken, rising, in any unit.
+    pub fn new(gpu: &Gpu, start: &[f32], times: &[f64]) -> Self {
+        let spacing = &spacing(times);
         let usual = acceleration(start.len() / (3 * N_JOINTS));
         let stride = 3 * N_JOINTS;
         let (scale, max_change) = (POSE_ACCELERATION * usual, POSE_JUMP.into());
@@ -95,9 +99,9 @@ impl Motion {
         let transl = TemporalConfig { stride: 3, first: 0, scale, max_change };
         let anchor = AnchorConfig { scales: anchor_scales(start).as_flattened().to_vec() };
         Self {
-            root: AngularAcceleration::new(gpu, root),
-            joints: Temporal::new(gpu, joints, &steps(start, stride, STEP * joints.scale)),
-            transl: Temporal::new(gpu, transl, &vec![0.0; start.len() / N_JOINTS]),
+            root: AngularAcceleration::new(gpu, root, spacing),
+            joints: Temporal::new(gpu, joints, &steps(start, stride, spacing, STEP * joints.scale), spacing),
+            transl: Temporal::new(gpu, transl, &vec![0.0; start.len() / N_JOINTS], spacing),
             anchor: Anchor::new(gpu, &anchor, start),
         }
     }
@@ -153,7 +157,7 @@ mod tests {
     fn steps_of_the_start_are_expected_and_its_sway_is_not() {
         // Two numbers a frame: one sways, one steps in the fourth frame.
         let values: Vec<f32> = (0..8).flat_map(|i| [0.01 * (i % 2) as f32, if i == 3 { 0.3 } else { 0.0 }]).collect();
-        let steps = steps(&values, 2, 0.09);
+        let steps = steps(&values, 2, &spacing(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]), 0.09);
         assert!(steps.iter().step_by(2).all(|&sway| sway == 0.0));
         let stepped: Vec<f32> = steps.into_iter().skip(1).step_by(2).collect();
         assert_eq!(stepped, [0.0, 0.0, 0.3, -0.6, 0.3, 0.0, 0.0, 0.0]);

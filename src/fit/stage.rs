@@ -49,6 +49,7 @@ impl<'a> StageWork<'a> {
             Shape::stand(scene, state)?;
         }
         let keypoints = || KeypointTerm::new(gpu, inputs.body, inputs.capture, inputs.camera, config.hip_keypoints);
+        let times: Vec<f64> = inputs.capture.frames.iter().map(|frame| frame.index.into()).collect();
         Ok(Self {
             scene,
             config,
@@ -59,7 +60,7 @@ impl<'a> StageWork<'a> {
             soft: (weights.rgb_soft != 0.0).then(|| (SoftTerm::new(scene), RgbL1::new(gpu, scene.max_pixels))),
             silhouette: SilhouetteTerm::new(scene, config.silhouette_gradient),
             keypoints: if weights.keypoints != 0.0 { keypoints() } else { None },
-            motion: Motion::new(gpu, &state.poses),
+            motion: Motion::new(gpu, &state.poses, &times),
             losses: Losses::new(scene, state.stage),
         })
     }

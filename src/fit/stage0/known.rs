@@ -32,8 +32,16 @@ pub fn candidate(
         return Err(Stage0Error::PoseCount { found: known.poses.len().min(known.trans.len()), expected: n });
     }
     let mut shared = setup::mean_shape(problem.rig.n_betas());
-    if let Some(betas) = known.betas.as_ref().filter(|b| b.len() == body.n_betas) {
-        shared.betas.iter_mut().zip(betas).for_each(|(b, given)| *b = f64::from(*given));
+    match &known.betas {
+        Some(betas) if betas.len() == body.n_betas => {
+            shared.betas.iter_mut().zip(betas).for_each(|(b, given)| *b = f64::from(*given));
+        }
+        Some(betas) => report.notes.push(format!(
+            "poses: `betas` has {} numbers and this body {}: they are of another body and left out, the shape is found",
+            betas.len(),
+            body.n_betas
+        )),
+        None => {}
     }
     let rest_pelvis = if known.is_pelvis { DVec3::ZERO } else { problem.rig.rest_joints(&shared.betas)[0] };
     let to_camera = camera_rotation(capture);

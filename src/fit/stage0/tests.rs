@@ -340,6 +340,14 @@ fn given_poses_are_kept_and_give_the_shape() {
     assert!(errors.joints < 0.02, "{errors:?} {:?}", result.report.notes);
     assert_eq!(result.report.notes.len(), 1, "{:?}", result.report.notes);
 
+    // The shape of another body is told and not taken.
+    let known = clip.capture.poses.as_mut().unwrap();
+    known.trans.iter_mut().for_each(|p| p[1] -= 0.2);
+    (known.is_pelvis, known.betas) = (true, Some(vec![9.0; 10]));
+    let other = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
+    assert!(other.report.notes[0].contains("`betas` has 10 numbers and this body 3"), "{:?}", other.report.notes);
+    assert!((0.4..0.9).contains(&other.betas[1]), "{:?}", other.betas);
+
     clip.capture.poses.as_mut().unwrap().poses[4].pop();
     let error = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap_err();
     assert!(matches!(error, Stage0Error::PoseLength { frame: 4, found: 71 }), "{error}");

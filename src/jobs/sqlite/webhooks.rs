@@ -6,7 +6,9 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 use uuid::Uuid;
 
-use super::super::webhooks::{Attempt, Delivery, Due, KEPT, MOST_OF_A_KEY, NewWebhook, SCHEDULE, TOLD, Webhook, Webhooks, event_type};
+use super::super::webhooks::{
+    Attempt, Delivery, Due, KEPT, MOST_OF_A_KEY, NewWebhook, SCHEDULE, TOLD, Webhook, Webhooks, event_type,
+};
 use super::super::{Job, QueueError, State, Timestamp};
 use super::{SqliteQueue, rows};
 

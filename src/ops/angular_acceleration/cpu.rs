@@ -6,14 +6,15 @@ use crate::ops::linear::{Matrix, Vector, accumulate, add_matrix, dot, product, s
 use crate::ops::skinning::{rodrigues, rodrigues_backward};
 
 /// The rotations of a clip with the turns between them.
-struct Turns<T> {
+struct Turns<'a, T> {
+    spacing: &'a [[f64; 2]],
     rotations: Vec<Matrix<T>>,
     /// `[N − 1]`: s of each frame and the next; `None` over a gap.
     steps: Vec<Option<Vector<T>>>,
 }
 
-impl<T: Real> Turns<T> {
-    fn new(config: &AngularAccelerationConfig, values: &[T]) -> Self {
+impl<'a, T: Real> Turns<'a, T> {
+    fn new(config: &AngularAccelerationConfig, values: &[T], spacing: &'a [[f64; 2]]) -> Self {
         let vectors = values.chunks_exact(config.stride).map(|row| [row[0], row[1], row[2]]);
         let rotations: Vec<Matrix<T>> = vectors.map(rodrigues).collect();
         let least_trace = T::of(1.0 + 2.0 * config.max_turn.cos());
@@ -23,31 +24,42 @@ impl<T: Real> Turns<T> {
             (q[0][0] + q[1][1] + q[2][2] >= least_trace).then(|| scale(T::of(0.5), axis))
         };
         let steps = rotations.windows(2).map(step).collect();
-        Self { rotations, steps }
+        Self { spacing, rotations, steps }
     }
 
-    /// s of `frame` less s of the frame before; zero at the clip's ends and beside a gap.
+    /// α s of `frame` less β s of the frame before; zero at the clip's ends and beside a gap.
     fn acceleration(&self, frame: usize) -> Vector<T> {
+        let Some([beta, alpha]) = self.spacing.get(frame).map(|factors| factors.map(T::of)) else {
+            return [T::zero(); 3];
+        };
         let before = frame.checked_sub(1).and_then(|before| self.steps[before]);
         let after = self.steps.get(frame).copied().flatten();
-        before.zip(after).map_or([T::zero(); 3], |(before, after)| sub(after, before))
+        before.zip(after).map_or([T::zero(); 3], |(before, after)| sub(scale(alpha, after), scale(beta, before)))
     }
 }
 
 /// The penalty.
-pub fn forward<T: Real>(config: &AngularAccelerationConfig, values: &[T]) -> T {
-    let turns = Turns::new(config, values);
+pub fn forward<T: Real>(config: &AngularAccelerationConfig, values: &[T], spacing: &[[f64; 2]]) -> T {
+    let turns = Turns::new(config, values, spacing);
     let costs = (0..turns.rotations.len()).map(|frame| turns.acceleration(frame)).map(|a| dot(a, a));
     costs.sum::<T>() / T::of(config.scale * config.scale)
 }
 
 /// Adds `weight` times the gradient.
-pub fn backward<T: Real>(config: &AngularAccelerationConfig, values: &[T], weight: T, grads: &mut [T]) {
-    let turns = Turns::new(config, values);
+pub fn backward<T: Real>(
+    config: &AngularAccelerationConfig,
+    values: &[T],
+    spacing: &[[f64; 2]],
+    weight: T,
+    grads: &mut [T],
+) {
+    let turns = Turns::new(config, values, spacing);
     let factor = T::of(2.0 / (config.scale * config.scale)) * weight;
     // The gradient by Q of the turn from `frame` to the next.
     let by_turn = |frame: usize| {
-        let [x, y, z] = scale(T::of(0.5) * factor, sub(turns.acceleration(frame), turns.acceleration(frame + 1)));
+        let (alpha, beta) = (T::of(spacing[frame][1]), T::of(spacing[frame + 1][0]));
+        let by_step = sub(scale(alpha, turns.acceleration(frame)), scale(beta, turns.acceleration(frame + 1)));
+        let [x, y, z] = scale(T::of(0.5) * factor, by_step);
         [[T::zero(), -z, y], [z, T::zero(), -x], [-y, x, T::zero()]]
     };
     let (rotations, n) = (&turns.rotations, turns.rotations.len());

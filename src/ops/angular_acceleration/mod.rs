@@ -3,9 +3,10 @@
 //! | buffer | shape | role |
 //! |---|---|---|
 //! | `values` | `[N, K]` | one row a frame, in the order of time; the first three numbers are a rotation vector (radians) |
+//! | `spacing` | `[N, 2]` | β and α of each frame, see [`temporal::spacing`](super::temporal::spacing) |
 //! | `grads` | `[N, K]` | `backward` adds `λ ∂L/∂values` to the first three numbers of each row |
 //!
-//! `L = Σ_i |(s_i − s_{i−1}) / scale|²` over the inner frames, `s_i` the turn from frame i to the next in the body's own
+//! `L = Σ_i |(α_i s_i − β_i s_{i−1}) / scale|²` over the inner frames, `s_i` the turn from frame i to the next in the body's own
 //! axes: of `Q = R_iᵀ R_{i+1}` the vector `½ (Q₂₁ − Q₁₂, Q₀₂ − Q₂₀, Q₁₀ − Q₀₁)`, which points along Q's axis and is the sine
 //! of its angle long. A turn of more than `max_turn` is a gap in the clip, and what meets there costs nothing.
 //!
@@ -23,7 +24,7 @@ pub use gpu::AngularAcceleration;
 pub struct AngularAccelerationConfig {
     /// Numbers a frame, three or more.
     pub stride: usize,
-    /// The acceleration that costs 1, radians a frame².
+    /// The acceleration that costs 1, radians a frame², the mean time from frame to frame taken for 1.
     pub scale: f64,
     /// The largest turn between frames that is motion, radians, below a quarter turn.
     pub max_turn: f64,

@@ -20,6 +20,13 @@ fn upright(angle: f64) -> DMat3 {
     DMat3::from_rotation_x(PI) * DMat3::from_rotation_y(angle)
 }
 
+fn even(n: usize) -> Vec<[f64; 2]> {
+    temporal::spacing(&(0..n).map(|i| i as f64).collect::<Vec<_>>())
+}
+
+/// Times of nine frames that follow unevenly.
+const UNEVEN: [f64; 9] = [0.0, 1.0, 3.0, 4.0, 6.0, 9.0, 10.0, 11.0, 13.0];
+
 /// Nine frames of somebody who sways in a turn, with a gap before the seventh.
 fn swaying() -> Vec<f64> {
     let sway = random(5, 27);
@@ -31,12 +38,14 @@ fn swaying() -> Vec<f64> {
 #[test]
 fn the_gradient_is_that_of_the_penalty_also_beside_a_gap() {
     let values = swaying();
-    let mut grads = vec![0.0; values.len()];
-    cpu::backward(&CONFIG, &values, 1.0, &mut grads);
-    assert_gradient("values", &values, &grads, |x| cpu::forward(&CONFIG, x));
-    assert!(grads.chunks(CONFIG.stride).all(|row| row[3..] == [0.0; 2]), "the rest of a row has no part in it");
-    let turn_of = |frame: usize| &grads[CONFIG.stride * frame..][..3];
-    assert!((0..9).all(|frame| turn_of(frame) != [0.0; 3]));
+    for spacing in [even(9), temporal::spacing(&UNEVEN)] {
+        let mut grads = vec![0.0; values.len()];
+        cpu::backward(&CONFIG, &values, &spacing, 1.0, &mut grads);
+        assert_gradient("values", &values, &grads, |x| cpu::forward(&CONFIG, x, &spacing));
+        assert!(grads.chunks(CONFIG.stride).all(|row| row[3..] == [0.0; 2]), "the rest of a row has no part in it");
+        let turn_of = |frame: usize| &grads[CONFIG.stride * frame..][..3];
+        assert!((0..9).all(|frame| turn_of(frame) != [0.0; 3]));
+    }
 }
 
 #[test]
@@ -46,11 +55,21 @@ fn steady_turning_costs_nothing_however_one_leans() {
     let of_body: Vec<f64> = rows(3, (0..20).map(|t| upright(0.3 * f64::from(t)) * lean));
     let of_world: Vec<f64> = rows(3, (0..20).map(|t| lean * upright(0.3 * f64::from(t))));
     for values in [&of_body, &of_world] {
-        assert!(cpu::forward(&config, values) < 1e-20);
+        assert!(cpu::forward(&config, values, &even(20)) < 1e-20);
     }
     let nodding =
         rows(3, (0..20).map(|t| upright(0.3 * f64::from(t)) * DMat3::from_rotation_x(0.1 * f64::from(t % 2))));
-    assert!(cpu::forward(&config, &nodding) > 5.0);
+    assert!(cpu::forward(&config, &nodding, &even(20)) > 5.0);
+}
+
+#[test]
+fn turning_is_as_steady_as_it_is_in_time() {
+    let config = AngularAccelerationConfig { stride: 3, ..CONFIG };
+    let turn = rows(3, UNEVEN.iter().map(|t| upright(0.1 * t)));
+    let (uneven, even) = (temporal::spacing(&UNEVEN), even(9));
+    // The sine of a turn is not quite the turn.
+    let cost = |spacing: &[[f64; 2]]| cpu::forward(&config, &turn, spacing);
+    assert!(cost(&uneven) < 1e-3 * cost(&even) && cost(&even) > 0.5, "{} and {}", cost(&uneven), cost(&even));
 }
 
 /// Why this is not left to [`temporal`].
@@ -58,12 +77,12 @@ fn steady_turning_costs_nothing_however_one_leans() {
 fn the_ends_of_a_steady_turn_are_left_alone() {
     let turn = rows(3, (0..24).map(|t| upright(PI / 12.0 * (f64::from(t) - 11.5))));
     let mut grads = vec![0.0; turn.len()];
-    cpu::backward(&AngularAccelerationConfig { stride: 3, ..CONFIG }, &turn, 1.0, &mut grads);
+    cpu::backward(&AngularAccelerationConfig { stride: 3, ..CONFIG }, &turn, &even(24), 1.0, &mut grads);
     assert!(grads.iter().all(|g| g.abs() < 1e-12), "{grads:?}");
     temporal::cpu::backward(
         &TemporalConfig { stride: 3, first: 0, scale: 0.3, max_change: 1.0 },
         &turn,
-        &vec![0.0; turn.len()],
+        temporal::cpu::Given { expected: &vec![0.0; turn.len()], spacing: &even(24) },
         1.0,
         &mut grads,
     );
@@ -74,10 +93,10 @@ fn the_ends_of_a_steady_turn_are_left_alone() {
 #[test]
 fn two_frames_have_no_acceleration() {
     let mut grads = vec![0.0; 10];
-    cpu::backward(&CONFIG, &swaying()[..10], 1.0, &mut grads);
+    cpu::backward(&CONFIG, &swaying()[..10], &even(2), 1.0, &mut grads);
     assert_eq!(grads, [0.0; 10]);
-    cpu::backward(&CONFIG, &[], 1.0, &mut []);
-    assert_eq!(cpu::forward::<f64>(&CONFIG, &[]), 0.0);
+    cpu::backward(&CONFIG, &[], &[], 1.0, &mut []);
+    assert_eq!(cpu::forward::<f64>(&CONFIG, &[], &[]), 0.0);
 }
 
 #[test]
@@ -85,10 +104,11 @@ fn gpu_matches_the_twin() {
     let Some(gpu) = gpu("angular_acceleration::gpu_matches_the_twin") else { return };
     let values = f32s(&swaying());
     let mut want = vec![1.0f32; values.len()];
-    cpu::backward(&CONFIG, &values, 0.7, &mut want);
+    let spacing = temporal::spacing(&UNEVEN);
+    cpu::backward(&CONFIG, &values, &spacing, 0.7, &mut want);
     let (values, grads) = (gpu.upload("values", &values), gpu.upload("grads", &vec![1.0f32; want.len()]));
     let mut recorder = gpu.recorder("angular_acceleration/test");
-    AngularAcceleration::new(&gpu, CONFIG).backward(&mut recorder, &values, 0.7, &grads);
+    AngularAcceleration::new(&gpu, CONFIG, &spacing).backward(&mut recorder, &values, 0.7, &grads);
     recorder.submit().unwrap();
     assert_close("grads", &gpu.read(&grads).unwrap(), &want, 1e-5);
 }

@@ -17,21 +17,28 @@ struct Params {
     padding: [u32; 2],
 }
 
+pub(in crate::ops) fn upload_spacing(gpu: &Gpu, spacing: &[[f64; 2]]) -> Buffer<f32> {
+    let factors: Vec<f32> = spacing.as_flattened().iter().map(|&factor| factor as f32).collect();
+    gpu.upload("temporal/spacing", &factors)
+}
+
 /// The gradient of the penalty on the device; its value is not needed there.
 pub struct Temporal {
     backward: Arc<Kernel>,
     config: TemporalConfig,
     expected: Buffer<f32>,
+    spacing: Buffer<f32>,
 }
 
 impl Temporal {
-    /// `expected [N, K]`
-    pub fn new(gpu: &Gpu, config: TemporalConfig, expected: &[f32]) -> Self {
+    /// `expected [N, K]`, `spacing [N, 2]`
+    pub fn new(gpu: &Gpu, config: TemporalConfig, expected: &[f32], spacing: &[[f64; 2]]) -> Self {
         let source = include_str!("../../../shaders/temporal/backward.wgsl");
         Self {
             backward: gpu.kernel("temporal/backward", source, &[]),
             config,
             expected: gpu.upload("temporal/expected", expected),
+            spacing: upload_spacing(gpu, spacing),
         }
     }
 
@@ -42,7 +49,8 @@ impl Temporal {
     pub fn backward(&self, recorder: &mut Recorder<'_>, values: &Buffer<f32>, weight: f32, grads: &Buffer<f32>) {
         let TemporalConfig { stride, first, scale, max_change } = self.config;
         let alike = values.len() == grads.len() && values.len() == self.expected.len();
-        assert!(alike && values.len().is_multiple_of(stride), "{}: length", values.label());
+        let whole = values.len().is_multiple_of(stride) && 2 * (values.len() / stride) == self.spacing.len();
+        assert!(alike && whole, "{}: length", values.label());
         let params = Params {
             n_frames: (values.len() / stride) as u32,
             stride: stride as u32,
@@ -52,6 +60,11 @@ impl Temporal {
             first: first as u32,
             padding: [0; 2],
         };
-        recorder.dispatch(&self.backward, &params, &[values, &self.expected, grads], linear_groups(values.len(), 64));
+        recorder.dispatch(
+            &self.backward,
+            &params,
+            &[values, &self.expected, &self.spacing, grads],
+            linear_groups(values.len(), 64),
+        );
     }
 }

@@ -83,7 +83,7 @@ pub fn run(
         let fitted = fit::run(gpu, &body, &capture, &start.camera, &alone, state_before, &tailored, &mut monitor);
         state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     }
-    let detail = look_closer(input, &body, &capture, &measures, &start.camera, &config, &state)?;
+    let detail = look_closer(input, &body, &mut capture, &measures, &start.camera, &config, &state)?;
     if let Some(detail) = &detail {
         let begun = resumed(detail.start(&state, &config), &detailed);
         monitor.go_on_with(&detailed);
@@ -103,7 +103,7 @@ pub fn run(
 fn look_closer(
     input: &PipelineInput,
     body: &Body,
-    capture: &Capture,
+    capture: &mut Capture,
     measures: &[quality::FrameMeasures],
     camera: &Camera,
     config: &FitConfig,
@@ -118,7 +118,9 @@ fn look_closer(
                 Ok(large) => large,
                 // The fit is done, and without detail it is still a whole avatar.
                 Err(error) if error.bad_input().is_some() => {
-                    tracing::warn!(%error, "the texture gets no detail: larger pictures cannot be had");
+                    capture
+                        .warnings
+                        .push(format!("the texture gets no detail: larger pictures cannot be had: {error}"));
                     return Ok(None);
                 }
                 Err(error) => return Err(error.into()),
