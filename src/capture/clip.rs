@@ -95,7 +95,7 @@ impl Capture {
     fn of(mut clip: Clip, kept: &[usize], max_side_px: u32) -> Result<Self, CaptureError> {
         let mut rectify = None;
         let mut frames = Vec::with_capacity(kept.len());
-        let mut vanished = Vec::new();
+        let (mut vanished, mut room) = (Vec::new(), Room::default());
         let camera = clip.camera.clone();
         clip.walk(
             |index| kept.binary_search(&index).is_ok(),
@@ -106,7 +106,10 @@ impl Capture {
                 }
                 if let (Some(rectify), Some(bounds)) = (&rectify, still.bounds) {
                     match cut_out(rectify, &still, bounds) {
-                        Some(frame) => frames.push(frame),
+                        Some(frame) => {
+                            room.take(&frame)?;
+                            frames.push(frame);
+                        }
                         None => vanished.push(still.index),
                     }
                 }
@@ -147,6 +150,26 @@ impl Capture {
             poses: clip.poses.as_ref().map(|poses| poses.subset(&shown)),
             warnings: clip.warnings,
         })
+    }
+}
+
+/// Pixels of kept frames that a fit holds at the same time, at some ten bytes each with what is on the device.
+#[derive(Default)]
+struct Room {
+    pixels: u64,
+}
+
+impl Room {
+    const PIXELS: u64 = 400_000_000;
+
+    fn take(&mut self, frame: &Frame) -> Result<(), BadInput> {
+        self.pixels += u64::from(frame.width) * u64::from(frame.height);
+        if self.pixels <= Self::PIXELS {
+            return Ok(());
+        }
+        let message =
+            format!("the people in the kept frames have more than {} million pixels", Self::PIXELS / 1_000_000);
+        Err(BadInput::new(Part::Video, message, "a smaller `max_frames` or `max_side_px`").at(frame.index as usize))
     }
 }
 
