@@ -87,7 +87,7 @@ pub struct Motion {
 
 impl Motion {
     /// `start [N, 72]`: the poses that the joints are held near, and whose steps go on. `times [N]`: when the frames were
-    /// taken, rising, in any unit.
+    /// taken, in any unit.
     pub fn new(gpu: &Gpu, start: &[f32], times: &[f64]) -> Self {
         let spacing = &spacing(times);
         let usual = acceleration(start.len() / (3 * N_JOINTS));

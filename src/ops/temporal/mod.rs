@@ -32,8 +32,9 @@ pub struct TemporalConfig {
     pub max_change: f64,
 }
 
-/// What the changes before and after each frame are multiplied with in its acceleration, of frames at rising `times [N]`:
-/// the second divided difference, times two, in units of the mean time from frame to frame. Zeros in the first and the last frame.
+/// What the changes before and after each frame are multiplied with in its acceleration, of frames at `times [N]`: the second
+/// divided difference, times two, in units of the mean time from frame to frame. Zeros in the first and the last frame, and where
+/// a neighbour is not earlier and later: several pictures of one moment tell of no motion.
 ///
 /// Kept frames do not lie evenly: of 60 frames 40 are every one or two apart, and a steady turn would be taken for a jerky one.
 pub fn spacing(times: &[f64]) -> Vec<[f64; 2]> {
@@ -42,8 +43,9 @@ pub fn spacing(times: &[f64]) -> Vec<[f64; 2]> {
     let mean = (last - first) / (times.len() - 1) as f64;
     for (factors, t) in spacing[1..].iter_mut().zip(times.windows(3)) {
         let (before, after) = ((t[1] - t[0]) / mean, (t[2] - t[1]) / mean);
-        assert!(before > 0.0 && after > 0.0, "times rise");
-        *factors = [before, after].map(|gap| 2.0 / (gap * (before + after)));
+        if before > 0.0 && after > 0.0 {
+            *factors = [before, after].map(|gap| 2.0 / (gap * (before + after)));
+        }
     }
     spacing
 }

@@ -73,6 +73,8 @@ fn even_frames_have_plain_second_differences_at_any_rate() {
     }
     assert_eq!(spacing(&[]), Vec::<[f64; 2]>::new());
     assert_eq!(spacing(&[3.0]), [[0.0; 2]]);
+    let twice = spacing(&[0.0, 1.0, 2.0, 2.0, 3.0, 4.0]);
+    assert!(twice[1][0] > 0.0 && twice[4][1] > 0.0 && twice[2] == [0.0; 2] && twice[3] == [0.0; 2], "{twice:?}");
 }
 
 #[test]
