@@ -2,10 +2,10 @@
 
 use glam::{DMat3, DVec3};
 
+use super::noise;
 use super::problem::Problem;
 use super::rotation;
 use super::setup;
-use super::sides;
 use super::state::{Frame, State};
 use super::{Candidate, Stage0Error, Stage0Report};
 use crate::body::{Body, N_JOINTS};
@@ -75,7 +75,7 @@ pub fn candidate(
             ));
         }
     }
-    scales.sigma_px = sides::noise(&problem, &state, &scales);
+    scales.sigma_px = noise::of_each_frame(&problem, &state, &scales);
     problem.anchor = Some(state.frames.clone());
     Ok(Candidate { problem, state, swapped: vec![[false; 3]; n], scales, cost: f64::INFINITY })
 }

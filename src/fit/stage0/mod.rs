@@ -18,6 +18,7 @@ mod focal;
 mod known;
 mod landmarks;
 mod minimise;
+mod noise;
 mod normal;
 mod offsets;
 mod placement;
@@ -170,6 +171,7 @@ pub fn solve(
     let rounds = ROUGH_ROUNDS * candidates.len()
         + FINE_ROUNDS
         + offsets::ROUNDS
+        + LASTING_ROUNDS
         + if options.use_pictures { tracks::rounds(capture) } else { 0 }
         + if options.use_masks { contour::MOST_ROUNDS } else { 0 };
     let mut clock = Clock { progress, rounds, iterations: options.iterations.max(1), round: 0, step: 0 };
@@ -192,6 +194,7 @@ pub fn solve(
     }
     offsets::settle(&mut best, &mut clock)?;
     report.costs.push(best.cost);
+    best.bear_lasting_noise(&mut clock)?;
     if options.use_masks {
         contour::refine(&mut best, body, capture, &mut report, &mut clock)?;
     }
@@ -219,6 +222,7 @@ fn likeliest(mut candidates: Vec<Candidate>) -> Option<Candidate> {
 /// Rounds with wide scales, to tell the readings apart, and rounds that settle the noise.
 const ROUGH_ROUNDS: usize = 2;
 const FINE_ROUNDS: usize = 3;
+const LASTING_ROUNDS: usize = 1;
 const ROUGH_RHO: f64 = 4.0;
 const FINE_RHO: f64 = 3.0;
 
@@ -228,8 +232,20 @@ impl Candidate {
         if self.problem.anchor.is_none() {
             sides::reread(&mut self.problem, &self.state, &self.scales, &mut self.swapped);
         }
-        self.scales.sigma_px = sides::noise(&self.problem, &self.state, &self.scales);
+        self.scales.sigma_px = noise::of_each_frame(&self.problem, &self.state, &self.scales);
         self.scales.rho = rho;
+    }
+
+    /// Trusts detections less whose errors last. Before masks and pictures are looked at, which then tell the more; given poses
+    /// are held to anyway.
+    fn bear_lasting_noise(&mut self, clock: &mut Clock) -> Result<(), Stage0Error> {
+        let lasting = noise::lasting(&self.problem, &self.state);
+        if self.problem.anchor.is_some() || lasting <= self.scales.sigma_px {
+            clock.round += LASTING_ROUNDS;
+            return Ok(());
+        }
+        self.scales.sigma_px = lasting;
+        self.descend(1e-4, clock)
     }
 
     fn descend(&mut self, tolerance: f64, clock: &mut Clock) -> Result<(), Stage0Error> {

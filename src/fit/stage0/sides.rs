@@ -1,5 +1,4 @@
-//! Reads the detections again in the light of the fit: which limbs have their sides swapped, how noisy the
-//! detector is, and which points are wrong.
+//! Reads the detections again in the light of the fit: which limbs have their sides swapped, and which points are wrong.
 
 use glam::DVec3;
 
@@ -9,11 +8,6 @@ use super::state::State;
 
 /// A swap must explain a group this much better (log-odds) before it is believed.
 const MARGIN: f64 = 3.0;
-/// Bounds of the noise in multiples of the person's height in pixels: the model's own misfit, and the most that a
-/// detector may be off.
-const LEAST_NOISE: f64 = 0.003;
-const MOST_NOISE: f64 = 0.025;
-
 /// Distances of all detections from their landmarks, in pixels: `[N][K]`, NaN where nothing was seen.
 pub fn distances(problem: &Problem, state: &State) -> Vec<Vec<f64>> {
     let camera = problem.camera.zoomed(state.shared.log_focal);
@@ -33,21 +27,6 @@ pub fn distances(problem: &Problem, state: &State) -> Vec<Vec<f64>> {
 pub fn height_px(problem: &Problem, state: &State) -> f64 {
     let depths: f64 = state.frames.iter().map(|f| f.pelvis.z.max(0.1)).sum::<f64>() / state.frames.len() as f64;
     1.7 * problem.camera.zoomed(state.shared.log_focal).fy / depths
-}
-
-/// Residuals are this much smaller than the noise, because the pose follows a part of it (measured on
-/// synthetic clips).
-const FOLLOWED: f64 = 1.25;
-
-/// σ of one coordinate from the median distance (that of a Rayleigh distribution is 1.1774 σ).
-pub fn noise(problem: &Problem, state: &State, scales: &Scales) -> f64 {
-    let mut all: Vec<f64> = distances(problem, state).into_iter().flatten().filter(|d| d.is_finite()).collect();
-    if all.is_empty() {
-        return scales.sigma_px;
-    }
-    all.sort_by(f64::total_cmp);
-    let height = height_px(problem, state);
-    (FOLLOWED * all[all.len() / 2] / 1.1774).clamp(LEAST_NOISE * height, MOST_NOISE * height)
 }
 
 /// Swaps the detections of limbs (or of the face) that fit far better so. `swapped [N]`: the groups that differ

@@ -23,6 +23,8 @@ pub struct Difficulty {
     /// Facing of the first frame.
     pub start_degrees: f64,
     pub noise_px: f64,
+    /// Standard deviation of errors that come and go a few times in the clip.
+    pub lasting_px: f64,
     /// Shares of keypoints not seen, and anywhere in the picture.
     pub dropped: f64,
     pub wrong: f64,
@@ -60,6 +62,7 @@ impl Default for Difficulty {
             turn_degrees: 360.0,
             start_degrees: 0.0,
             noise_px: 2.0,
+            lasting_px: 0.0,
             dropped: 0.05,
             wrong: 0.0,
             swapped_backs: 0.0,
@@ -93,6 +96,15 @@ const FOCAL_PX: f64 = 760.0;
 fn noise(rng: &mut Pcg32) -> f64 {
     let (u, v): (f64, f64) = (rng.random_range(1e-12..1.0), rng.random());
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+/// An error of keypoint `k` that comes and goes two to four times in a clip, of standard deviation 1 a coordinate.
+fn lasting(k: usize, at: f64) -> DVec2 {
+    let of = |k: f64| {
+        let times = 2.0 + 2.0 * (0.38 * k).fract();
+        2f64.sqrt() * (std::f64::consts::TAU * (times * at + 0.618 * k)).sin()
+    };
+    DVec2::new(of(2.0 * k as f64), of(2.0 * k as f64 + 1.0))
 }
 
 /// The true poses.
@@ -163,6 +175,7 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
             let mut at = pinhole.project(*place);
             at.x += how.noise_px * noise(&mut rng);
             at.y += how.noise_px * noise(&mut rng);
+            at += how.lasting_px * lasting(k, t as f64 / how.frames as f64);
             let hidden_face = marks[k].part.group() == GROUPS[0] && shows_back && !how.face_through_head;
             let hidden_side = marks[k].side != 0.0 && place.z > places[marks[k].partner].z + 0.15;
             let unsure = (hidden_face || hidden_side) && !how.flat_confidence;

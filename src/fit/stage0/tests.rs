@@ -281,6 +281,23 @@ fn feet_that_step_are_found_and_standing_ones_stand() {
 }
 
 #[test]
+fn detections_whose_errors_last_are_trusted_less() {
+    let body = Body::test_body();
+    let white = Difficulty { noise_px: 3.0, masks: true, painted: true, seed: 31, ..Difficulty::default() };
+    let lasting = Difficulty { noise_px: 0.5, lasting_px: 4.0, ..white.clone() };
+    let [white, lasting] = [white, lasting].map(|how| {
+        let clip = clip(&body, &how);
+        let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
+        (result.report.sigma_px, errors(&body, &clip, &result))
+    });
+    eprintln!("white {white:?} lasting {lasting:?}");
+    assert!((2.0..4.0).contains(&white.0), "{white:?}");
+    assert!(lasting.0 > 5.0, "{lasting:?}");
+    // 15 mm and 3.5° where they are taken for new in each frame.
+    assert!(lasting.1.scaled < 0.0125 && lasting.1.facing_degrees < 2.7, "{lasting:?}");
+}
+
+#[test]
 fn a_measured_height_sets_the_size() {
     let body = Body::test_body();
     let how = Difficulty { frames: 12, betas: vec![1.8, 0.0, 0.2], seed: 14, ..Difficulty::default() };

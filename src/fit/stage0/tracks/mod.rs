@@ -88,7 +88,7 @@ pub fn refine(
     Ok(found)
 }
 
-/// σ of one coordinate from the median distance, as [`sides::noise`] has it for keypoints, without its factor.
+/// σ of one coordinate from the median distance, as [`super::noise::of_each_frame`] has it for keypoints, without its factor.
 fn noise(best: &Candidate, height: f64) -> f64 {
     let Candidate { problem, state, .. } = best;
     let camera = problem.camera.zoomed(state.shared.log_focal);

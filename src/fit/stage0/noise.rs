@@ -1,0 +1,71 @@
+//! How noisy the detector is: anew in each frame, and in many frames alike.
+//!
+//! A descent takes errors for new in each frame. A detector's that last, as those of all that look at pictures do (an elbow is
+//! seen too far out from one side, frame after frame), look like motion to it, and it follows them. What it cannot follow of them is
+//! left, and is told from noise by its likeness from frame to frame ([`lasting`]; docs/lab/detector.md).
+
+use glam::DVec2;
+
+use super::landmarks::Part;
+use super::problem::{Problem, Scales};
+use super::sides;
+use super::state::{Frame, State};
+
+/// Bounds of the noise in multiples of the person's height in pixels: the model's own misfit, and the most that a
+/// detector may be off.
+const LEAST: f64 = 0.003;
+const MOST: f64 = 0.025;
+
+/// Residuals are this much smaller than the noise, because the pose follows a part of it (measured on
+/// synthetic clips).
+const FOLLOWED: f64 = 1.25;
+
+/// The same of errors that last (measured with MediaPipe's points on five persons).
+const LASTING_FOLLOWED: f64 = 5.0;
+/// What lasts of residuals because the model is not the person, and keypoints are smoothed in time; over the person's height.
+const MISFIT: f64 = 0.0008;
+
+/// Of a normal distribution: its standard deviation over the median of its absolute values.
+const OVER_MEDIAN: f64 = 1.4826;
+
+/// σ of one coordinate from the median distance (that of a Rayleigh distribution is 1.1774 σ).
+pub fn of_each_frame(problem: &Problem, state: &State, scales: &Scales) -> f64 {
+    let all: Vec<f64> = sides::distances(problem, state).into_iter().flatten().filter(|d| d.is_finite()).collect();
+    let height = sides::height_px(problem, state);
+    median(all).map_or(scales.sigma_px, |median| (FOLLOWED * median / 1.1774).clamp(LEAST * height, MOST * height))
+}
+
+/// σ of one coordinate of errors that neighbouring frames have in common, at the end of a descent that took them for new in each;
+/// 0 where there are none. Of elbows, wrists, knees and ankles: other parts' places on the body are fitted.
+pub fn lasting(problem: &Problem, state: &State) -> f64 {
+    let height = sides::height_px(problem, state);
+    let errors = limb_errors(problem, state);
+    let coordinates = |errors: &mut dyn Iterator<Item = DVec2>| errors.flat_map(|e| e.abs().to_array()).collect();
+    let all: Vec<f64> = coordinates(&mut errors.iter().flatten().copied().flatten());
+    let pairs = errors.windows(2).flat_map(|pair| pair[0].iter().zip(&pair[1]));
+    let changes: Vec<f64> = coordinates(&mut pairs.filter_map(|(a, b)| Some((*b)? - (*a)?)));
+    let [Some(all), Some(changes)] = [all, changes].map(median) else { return 0.0 };
+    // Noise that is new in each frame makes changes √2 times as large as itself.
+    let squared = (OVER_MEDIAN * all).powi(2) - (OVER_MEDIAN * changes).powi(2) / 2.0 - (MISFIT * height).powi(2);
+    (LASTING_FOLLOWED * squared.max(0.0).sqrt()).min(MOST * height)
+}
+
+/// From the body's limbs to their detections, pixels. `[N][K]`
+fn limb_errors(problem: &Problem, state: &State) -> Vec<Vec<Option<DVec2>>> {
+    let camera = problem.camera.zoomed(state.shared.log_focal);
+    let of_frame = |(t, frame): (usize, &Frame)| {
+        let places = problem.landmarks_at(&problem.rig.pose(frame, &state.shared), state, &camera);
+        let error = |(k, place): (usize, DVec2)| {
+            let is_limb = matches!(problem.landmarks[k].part, Part::Elbow | Part::Wrist | Part::Knee | Part::Ankle);
+            let seen = problem.observations[t][k];
+            (is_limb && seen.weight > 0.0).then(|| seen.at - place)
+        };
+        places.into_iter().enumerate().map(error).collect()
+    };
+    state.frames.iter().enumerate().map(of_frame).collect()
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
