@@ -1,15 +1,15 @@
 //! How noisy the detector is: anew in each frame, and in many frames alike.
 //!
-//! A descent takes errors for new in each frame. A detector's that last, as those of all that look at pictures do (an elbow is
-//! seen too far out from one side, frame after frame), look like motion to it, and it follows them. What it cannot follow of them is
-//! left, and is told from noise by its likeness from frame to frame ([`lasting`]; docs/lab/detector.md).
+//! A descent takes errors for new in each frame. A detector's that last (an elbow is seen too far out from one side, frame after
+//! frame) look like motion to it, and it follows them. What it cannot follow of them is left, and is told from noise by its likeness
+//! from frame to frame ([`lasting`]; docs/lab/detector.md).
 
 use glam::DVec2;
 
 use super::landmarks::Part;
 use super::problem::{Problem, Scales};
 use super::sides;
-use super::state::{Frame, State};
+use super::state::State;
 
 /// Bounds of the noise in multiples of the person's height in pixels: the model's own misfit, and the most that a
 /// detector may be off.
@@ -20,7 +20,8 @@ const MOST: f64 = 0.025;
 /// synthetic clips).
 const FOLLOWED: f64 = 1.25;
 
-/// The same of errors that last (measured with MediaPipe's points on five persons).
+/// The same of errors that last. They are larger still; but with eight masks took over what keypoints tell of lengths
+/// (docs/lab/detector.md).
 const LASTING_FOLLOWED: f64 = 5.0;
 /// What lasts of residuals because the model is not the person, and keypoints are smoothed in time; over the person's height.
 const MISFIT: f64 = 0.0008;
@@ -39,7 +40,12 @@ pub fn of_each_frame(problem: &Problem, state: &State, scales: &Scales) -> f64 {
 /// 0 where there are none. Of elbows, wrists, knees and ankles: other parts' places on the body are fitted.
 pub fn lasting(problem: &Problem, state: &State) -> f64 {
     let height = sides::height_px(problem, state);
-    let errors = limb_errors(problem, state);
+    let mut errors = sides::errors(problem, state);
+    for (k, landmark) in problem.landmarks.iter().enumerate() {
+        if !matches!(landmark.part, Part::Elbow | Part::Wrist | Part::Knee | Part::Ankle) {
+            errors.iter_mut().for_each(|frame| frame[k] = None);
+        }
+    }
     let coordinates = |errors: &mut dyn Iterator<Item = DVec2>| errors.flat_map(|e| e.abs().to_array()).collect();
     let all: Vec<f64> = coordinates(&mut errors.iter().flatten().copied().flatten());
     let pairs = errors.windows(2).flat_map(|pair| pair[0].iter().zip(&pair[1]));
@@ -48,21 +54,6 @@ pub fn lasting(problem: &Problem, state: &State) -> f64 {
     // Noise that is new in each frame makes changes √2 times as large as itself.
     let squared = (OVER_MEDIAN * all).powi(2) - (OVER_MEDIAN * changes).powi(2) / 2.0 - (MISFIT * height).powi(2);
     (LASTING_FOLLOWED * squared.max(0.0).sqrt()).min(MOST * height)
-}
-
-/// From the body's limbs to their detections, pixels. `[N][K]`
-fn limb_errors(problem: &Problem, state: &State) -> Vec<Vec<Option<DVec2>>> {
-    let camera = problem.camera.zoomed(state.shared.log_focal);
-    let of_frame = |(t, frame): (usize, &Frame)| {
-        let places = problem.landmarks_at(&problem.rig.pose(frame, &state.shared), state, &camera);
-        let error = |(k, place): (usize, DVec2)| {
-            let is_limb = matches!(problem.landmarks[k].part, Part::Elbow | Part::Wrist | Part::Knee | Part::Ankle);
-            let seen = problem.observations[t][k];
-            (is_limb && seen.weight > 0.0).then(|| seen.at - place)
-        };
-        places.into_iter().enumerate().map(error).collect()
-    };
-    state.frames.iter().enumerate().map(of_frame).collect()
 }
 
 fn median(mut values: Vec<f64>) -> Option<f64> {

@@ -1,6 +1,6 @@
 //! Reads the detections again in the light of the fit: which limbs have their sides swapped, and which points are wrong.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::landmarks::{GROUPS, Part};
 use super::problem::{Problem, Scales};
@@ -8,19 +8,26 @@ use super::state::State;
 
 /// A swap must explain a group this much better (log-odds) before it is believed.
 const MARGIN: f64 = 3.0;
-/// Distances of all detections from their landmarks, in pixels: `[N][K]`, NaN where nothing was seen.
-pub fn distances(problem: &Problem, state: &State) -> Vec<Vec<f64>> {
+
+/// From all landmarks to their detections, in pixels: `[N][K]`, none where nothing was seen.
+pub fn errors(problem: &Problem, state: &State) -> Vec<Vec<Option<DVec2>>> {
     let camera = problem.camera.zoomed(state.shared.log_focal);
     let of_frame = |t: usize| {
         let posed = problem.rig.pose(&state.frames[t], &state.shared);
         let places = problem.landmarks_at(&posed, state, &camera);
-        let distance = |k: usize| {
+        let error = |k: usize| {
             let seen = &problem.observations[t][k];
-            if seen.weight > 0.0 { seen.at.distance(places[k]) } else { f64::NAN }
+            (seen.weight > 0.0).then(|| seen.at - places[k])
         };
-        (0..places.len()).map(distance).collect()
+        (0..places.len()).map(error).collect()
     };
     (0..state.frames.len()).map(of_frame).collect()
+}
+
+/// Lengths of [`errors`]: `[N][K]`, NaN where nothing was seen.
+pub fn distances(problem: &Problem, state: &State) -> Vec<Vec<f64>> {
+    let of_frame = |errors: Vec<Option<DVec2>>| errors.iter().map(|e| e.map_or(f64::NAN, DVec2::length)).collect();
+    errors(problem, state).into_iter().map(of_frame).collect()
 }
 
 /// The person's height in pixels, as the state has it.

@@ -164,14 +164,16 @@ impl SqliteQueue {
             .bind(now.0)
             .execute(&mut *tx)
             .await?;
-            sqlx::query(
-                "UPDATE deliveries SET next_at = NULL, last_error = 'the receiver wants no more' WHERE next_at IS NOT NULL \
-                 AND webhook_id = (SELECT webhook_id FROM deliveries WHERE id = ?)",
-            )
-            .bind(id)
-            .execute(&mut *tx)
-            .await?;
         }
+        // Also of attempts that were on their way when another one's answer was that.
+        sqlx::query(
+            "UPDATE deliveries SET next_at = NULL, last_error = 'the receiver wants no more' WHERE next_at IS NOT NULL \
+             AND webhook_id = (SELECT w.id FROM webhooks w JOIN deliveries d ON d.webhook_id = w.id \
+             WHERE d.id = ? AND w.disabled_at IS NOT NULL)",
+        )
+        .bind(id)
+        .execute(&mut *tx)
+        .await?;
         sqlx::query("DELETE FROM deliveries WHERE next_at IS NULL AND created_at < ?")
             .bind(now.0.saturating_sub(KEPT.as_millis() as i64))
             .execute(&mut *tx)

@@ -8,7 +8,7 @@ use std::time::Duration;
 use axum::routing::any;
 use effigy::http::{Access, Openness};
 use effigy::jobs::keys::{Keys, NewKey, Quota, Scope, Token};
-use effigy::jobs::webhooks::SCHEDULE;
+use effigy::jobs::webhooks::{Attempt, SCHEDULE, Webhooks};
 use effigy::jobs::{JobError, ManualClock, Repeat, Timestamp};
 use effigy::webhooks::{Courier, Lookup, Sender, signature, system_lookup};
 
@@ -193,6 +193,10 @@ async fn gone_is_for_ever_and_a_redirection_leads_nowhere() {
     let shown = bench.deliveries(&webhook).await;
     assert!(shown.len() == 2 && shown.iter().all(|message| message["next_at"].is_null()), "{shown:?}");
     assert_eq!(bench.queue.figures().await.unwrap().deliveries, 0, "the other one waits for nothing");
+    // One that was on its way when the receiver said so, and failed after.
+    let late = shown[1]["id"].as_str().unwrap();
+    bench.keys.attempted(late, &Attempt::Answered(500)).await.unwrap();
+    assert_eq!(bench.queue.figures().await.unwrap().deliveries, 0, "nor does it wait");
     bench.publish(&[]).await;
     assert_eq!(courier.round().await.unwrap(), 0);
     assert!(bench.get("/v1/webhooks").await.json()["webhooks"][0]["disabled_at"].is_string());
