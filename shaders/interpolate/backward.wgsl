@@ -1,5 +1,6 @@
-// grad_texcoords[v] += bary · grad_coords[k] for the corners of each listed pixel's face.
+// sums[v] += bary · grad_coords[k] for the corners of each listed pixel's face.
 #import shared/linear_index
+#import shared/exact_sum
 
 struct Params {
     n_max: u32,
@@ -12,9 +13,9 @@ struct Params {
 @group(0) @binding(4) var<storage, read> bary_coords: array<f32>;
 @group(0) @binding(5) var<storage, read> faces: array<u32>;
 @group(0) @binding(6) var<storage, read> grad_coords: array<f32>;
-@group(0) @binding(7) var<storage, read_write> grad_texcoords: array<atomic_f32>;
+@group(0) @binding(7) var<storage, read_write> sums: array<exact_sum>; // [V, 3, 2]
 
-#atomic_f32 grad_texcoords
+#exact_sum sums
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -31,8 +32,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     for (var c = 0u; c < 3u; c++) {
         let v = 3u * faces[face + c];
         let b = bary_coords[3u * i + c];
-        grad_texcoords_add(v, b * grad.x);
-        grad_texcoords_add(v + 1u, b * grad.y);
-        grad_texcoords_add(v + 2u, b * grad.z);
+        sums_add(v, b * grad.x);
+        sums_add(v + 1u, b * grad.y);
+        sums_add(v + 2u, b * grad.z);
     }
 }

@@ -1,4 +1,4 @@
-// Pass 4, one tile with a list a workgroup: colour and alpha, and for the backward pass state = (ln W, T): W = sum exp(score),
+// Pass 5, one tile with a list a workgroup: colour and alpha, and for the backward pass state = (ln W, T): W = sum exp(score),
 // T = prod (1 - D).
 //
 // Each invocation takes every LANES-th face of the tile's list and keeps its share of all the tile's pixels in

@@ -1,5 +1,5 @@
 // Pass 2, one workgroup: where each tile's list starts, which tiles have one, and how many workgroups they and the drawn
-// faces take, one each. Leaves `counts` zero for the next image.
+// faces take, one each, and the tiles at 64 each. Leaves `counts` zero for the next image.
 #import shared/soft_face
 
 const LANES: u32 = 256u;
@@ -12,7 +12,7 @@ const ROW: u32 = 32768u;
 @group(0) @binding(3) var<storage, read_write> cursors: array<u32>;
 @group(0) @binding(4) var<storage, read_write> busy: array<u32>; // how many tiles, then which
 @group(0) @binding(5) var<storage, read_write> drawn: array<u32>;
-@group(0) @binding(6) var<storage, read_write> workgroups: array<u32>; // of the busy tiles, of the drawn faces
+@group(0) @binding(6) var<storage, read_write> workgroups: array<u32>; // of the busy tiles, of the drawn faces, of 64 tiles each
 
 var<workgroup> sums: array<vec2<u32>, 256>;
 
@@ -53,6 +53,7 @@ fn main(@builtin(local_invocation_index) lane: u32) {
         starts[params.n_tiles] = at.x;
         busy[0] = at.y;
         write_workgroups(0u, at.y);
+        write_workgroups(6u, (at.y + 63u) / 64u);
         let n_drawn = counts[params.n_tiles];
         counts[params.n_tiles] = 0u;
         drawn[0] = n_drawn;

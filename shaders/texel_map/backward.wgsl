@@ -1,5 +1,6 @@
-// Adds to grad_texels and grad_coords what grad_rgb says.
+// Adds to the sums of grad_texels and to grad_coords what grad_rgb says.
 #import shared/linear_index
+#import shared/exact_sum
 #import shared/texel_cell
 
 struct Params {
@@ -12,10 +13,10 @@ struct Params {
 @group(0) @binding(2) var<storage, read> coords: array<f32>;
 @group(0) @binding(3) var<storage, read> texels: array<f32>;
 @group(0) @binding(4) var<storage, read> grad_rgb: array<f32>;
-@group(0) @binding(5) var<storage, read_write> grad_texels: array<atomic_f32>;
+@group(0) @binding(5) var<storage, read_write> sums: array<exact_sum>; // [S, S, 3, 2]
 @group(0) @binding(6) var<storage, read_write> grad_coords: array<f32>;
 
-#atomic_f32 grad_texels
+#exact_sum sums
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -33,10 +34,10 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         if upstream == 0.0 {
             continue;
         }
-        grad_texels_add(at.x + c, w.x * upstream);
-        grad_texels_add(at.y + c, w.y * upstream);
-        grad_texels_add(at.z + c, w.z * upstream);
-        grad_texels_add(at.w + c, w.w * upstream);
+        sums_add(at.x + c, w.x * upstream);
+        sums_add(at.y + c, w.y * upstream);
+        sums_add(at.z + c, w.z * upstream);
+        sums_add(at.w + c, w.w * upstream);
         let t = vec4<f32>(texels[at.x + c], texels[at.y + c], texels[at.z + c], texels[at.w + c]);
         grad.x += upstream * mix(t.y - t.x, t.w - t.z, v.part);
         grad.y += upstream * mix(t.z - t.x, t.w - t.y, u.part);

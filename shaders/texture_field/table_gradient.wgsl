@@ -1,6 +1,7 @@
-// Adds to grad_table what grad_encoded says. An invocation follows a run of listed pixels in one level. Neighbours mostly
-// share a cell, so it sums as long as the cell stays the same and adds to the table, atomically, when it changes.
+// Adds to the sums of grad_table what grad_encoded says. An invocation follows a run of listed pixels in one level. Neighbours mostly
+// share a cell, so it sums as long as the cell stays the same and adds to the table's sums when it changes.
 #import shared/hash_grid
+#import shared/exact_sum
 #const ENCODED4: u32 = 6u
 #const RUN: u32 = 32u
 
@@ -16,15 +17,15 @@ struct Params {
 @group(0) @binding(1) var<storage, read> count: array<u32>;
 @group(0) @binding(2) var<storage, read> coords: array<f32>;
 @group(0) @binding(3) var<storage, read> grad_encoded: array<vec2<f32>>;
-@group(0) @binding(4) var<storage, read_write> grad_table: array<atomic_f32>;
+@group(0) @binding(4) var<storage, read_write> sums: array<exact_sum>; // [entries, 2, 2]
 
-#atomic_f32 grad_table
+#exact_sum sums
 
-fn add(corner: vec3<u32>, level: Level, sums: array<vec2<f32>, 8>) {
+fn add(corner: vec3<u32>, level: Level, parts: array<vec2<f32>, 8>) {
     let entries = corner_entries(corner, level);
 #for K in 0..8
-    grad_table_add(2u * entries[$K], sums[$K].x);
-    grad_table_add(2u * entries[$K] + 1u, sums[$K].y);
+    sums_add(2u * entries[$K], parts[$K].x);
+    sums_add(2u * entries[$K] + 1u, parts[$K].y);
 #end
 }
 
@@ -42,7 +43,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let x = vec3<f32>(coords[3u * p], coords[3u * p + 1u], coords[3u * p + 2u]);
         let corner = cell_of(x, level).corner;
         var cell = cell_of(x, level);
-        var sums = array<vec2<f32>, 8>();
+        var parts = array<vec2<f32>, 8>();
         var same = true;
         while same {
             let upstream = grad_encoded[p * ENCODED4 * 2u + id.y];
@@ -51,8 +52,8 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
             let low = vec4<f32>(g.x * g.y, f.x * g.y, g.x * f.y, f.x * f.y) * g.z;
             let high = vec4<f32>(g.x * g.y, f.x * g.y, g.x * f.y, f.x * f.y) * f.z;
 #for K in 0..4
-            sums[$K] += low[$K] * upstream;
-            sums[$K + 4] += high[$K] * upstream;
+            parts[$K] += low[$K] * upstream;
+            parts[$K + 4] += high[$K] * upstream;
 #end
             p++;
             same = p < end;
@@ -61,6 +62,6 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
                 same = all(cell.corner == corner);
             }
         }
-        add(corner, level, sums);
+        add(corner, level, parts);
     }
 }

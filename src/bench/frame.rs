@@ -81,7 +81,7 @@ impl Frame {
             posed: skinning.pose_state(gpu),
             hard: HardRasterizer::new(gpu, &corners, n_pixels, HardRasterizeConfig::default()),
             soft: SoftRasterizer::new(gpu, &corners, n_pixels, list_capacity),
-            interpolate: Interpolate::new(gpu, n_pixels, n_listed),
+            interpolate: Interpolate::new(gpu, n_pixels, n_listed, body.n_vertices()),
             texture: TextureField::new(gpu, texture_config, &texture_params, n_listed)?,
             betas: gpu.zeros("bench/betas", body.n_betas),
             offsets: gpu.zeros("bench/offsets", 3 * body.n_vertices()),
@@ -189,6 +189,7 @@ impl Frame {
             }),
             case("texture_field/backward", self.scale.texture_backward(), move |recorder| {
                 op.backward(recorder, &list.coords, &list.count, n, &grad.rgb, &grad.coords);
+                op.settle(recorder);
             }),
         ]
     }

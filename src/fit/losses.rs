@@ -24,18 +24,43 @@ pub enum Term {
 /// The names of the terms, in their order.
 const NAMES: [&str; 7] = ["rgb", "rgb_soft", "silhouette", "keypoints", "normal_consistency", "face_area", "laplacian"];
 
-/// One slot a term, and for the hard image one a frame; the slots add up until they are read.
+/// One slot a term, and for the hard image one a frame. The slots add up over a pass through the clip: what is told of a
+/// pass then does not depend on when somebody looked in between.
 pub struct Losses {
     stage: Stage,
     /// `[terms + N]`: the colours of the hard image add to the slots of their frames.
     values: Buffer<f32>,
-    /// Terms that have been recorded since the last reading.
+    /// Terms that have been recorded since the last report.
     recorded: [Cell<bool>; NAMES.len()],
-    /// `[N]`: how often each frame's losses have been added since the last reading.
+    /// `[N]`: how often each frame's losses have been added in this pass.
     visits: Vec<u32>,
-    /// `[N]`: the colour loss of the frame a foreground pixel when it was last read; `None` before.
+    /// `[N]`: the colour loss of the frame a foreground pixel in the last pass that had it; `None` before.
     errors: Vec<Option<f32>>,
     pixels: Vec<usize>,
+    /// What of this pass's slots and visits has been reported.
+    told: Sums,
+    /// What of earlier passes has not been.
+    untold: Sums,
+}
+
+/// Slots, and the visits that filled them.
+#[derive(Clone)]
+struct Sums {
+    values: Vec<f64>,
+    visits: u32,
+}
+
+impl Sums {
+    fn new(n_frames: usize) -> Self {
+        Self { values: vec![0.0; NAMES.len() + n_frames], visits: 0 }
+    }
+
+    /// `self + other · sign`
+    fn plus(mut self, other: &Self, sign: i32) -> Self {
+        self.values.iter_mut().zip(&other.values).for_each(|(a, b)| *a += f64::from(sign) * b);
+        self.visits = self.visits.wrapping_add_signed(sign * other.visits as i32);
+        self
+    }
 }
 
 impl Losses {
@@ -48,6 +73,8 @@ impl Losses {
             visits: vec![0; n_frames],
             errors: vec![None; n_frames],
             pixels: scene.frames.iter().map(|frame| frame.levels[0].inside.len().max(1)).collect(),
+            told: Sums::new(n_frames),
+            untold: Sums::new(n_frames),
         }
     }
 
@@ -68,30 +95,52 @@ impl Losses {
         frames.iter().for_each(|&frame| self.visits[frame] += 1);
     }
 
-    /// `[N]`: the frames' colour losses, up to a common factor; `None` where a frame has not been read yet.
+    /// `[N]`: the frames' colour losses, up to a common factor; `None` where no pass that has ended had the frame.
     pub fn frame_errors(&self) -> &[Option<f32>] {
         &self.errors
     }
 
-    /// Mean losses a frame since the last reading; the slots start anew. Waits.
-    ///
-    /// # Errors
-    /// [`FitError::Diverged`] where one is not finite.
-    pub fn read(&mut self, scene: &Scene, step: u32) -> Result<BTreeMap<&'static str, f32>, FitError> {
-        let mut values = scene.gpu.read(&self.values)?;
+    fn sums(&self, scene: &Scene) -> Result<Sums, FitError> {
+        let values = scene.gpu.read(&self.values)?.into_iter().map(f64::from).collect();
+        Ok(Sums { values, visits: self.visits.iter().sum() })
+    }
+
+    /// Ends a pass: [`frame_errors`](Self::frame_errors) are its, and the slots start anew. Nothing is known of a pass
+    /// that was gone through before a resumption. Waits.
+    pub fn end_pass(&mut self, scene: &Scene) -> Result<(), FitError> {
+        if self.visits.iter().all(|&n| n == 0) {
+            return Ok(());
+        }
+        let sums = self.sums(scene)?;
         let mut recorder = scene.gpu.recorder("fit/losses");
         recorder.clear(&self.values);
         recorder.submit()?;
+        for (frame, loss) in sums.values[NAMES.len()..].iter().enumerate().filter(|(frame, _)| self.visits[*frame] > 0)
+        {
+            self.errors[frame] = Some((loss / (self.visits[frame] as usize * self.pixels[frame]) as f64) as f32);
+        }
+        self.visits.fill(0);
+        self.untold = sums.plus(&self.told, -1).plus(&self.untold, 1);
+        self.told = Sums::new(self.pixels.len());
+        Ok(())
+    }
+
+    /// Mean losses a frame since the last report. Waits.
+    ///
+    /// # Errors
+    /// [`FitError::Diverged`] where one is not finite.
+    pub fn report(&mut self, scene: &Scene, step: u32) -> Result<BTreeMap<&'static str, f32>, FitError> {
+        let sums = self.sums(scene)?;
+        let since = sums.clone().plus(&self.told, -1).plus(&self.untold, 1);
+        self.told = sums;
+        self.untold = Sums::new(self.pixels.len());
+        let mut values = since.values;
         let of_frames = values.split_off(NAMES.len());
         values[Term::Rgb as usize] = of_frames.iter().sum();
-        for (frame, loss) in of_frames.iter().enumerate().filter(|(frame, _)| self.visits[*frame] > 0) {
-            self.errors[frame] = Some(loss / (self.visits[frame] as usize * self.pixels[frame]) as f32);
-        }
-        let frames = self.visits.iter().sum::<u32>().max(1) as f32;
-        self.visits.fill(0);
+        let frames = f64::from(since.visits.max(1));
         let recorded = self.recorded.iter().map(|r| r.replace(false));
         let rows = NAMES.iter().zip(&values).zip(recorded).filter(|(_, recorded)| *recorded);
-        let losses = rows.map(|((&name, value), _)| (name, value / frames)).collect();
+        let losses = rows.map(|((&name, value), _)| (name, (value / frames) as f32)).collect();
         if values.iter().all(|v| v.is_finite()) {
             Ok(losses)
         } else {

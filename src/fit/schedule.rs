@@ -90,6 +90,7 @@ pub(super) fn run(
                 state.step = number;
                 after_step(scene, work, state, steps, &mut pace, outside)?;
             }
+            work.losses().end_pass(scene)?;
         }
     }
     work.read_into(state)
@@ -171,7 +172,7 @@ fn after_step(
 ) -> Result<(), FitError> {
     let step = state.step;
     let due = pace.losses_due() || step == steps;
-    let losses = if due { Some(work.losses().read(scene, step)?) } else { None };
+    let losses = if due { Some(work.losses().report(scene, step)?) } else { None };
     if pace.checkpoint_due() {
         work.read_into(state)?;
         state.save(outside.checkpoint)?;

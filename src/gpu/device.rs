@@ -38,9 +38,10 @@ pub struct DeviceInfo {
     pub driver: String,
     /// True for a driver that computes on the CPU.
     pub software: bool,
-    pub float_atomics: bool,
     /// Whether a 64-bit number in memory can be raised atomically.
     pub wide_atomics: bool,
+    /// Whether one can be added to.
+    pub wide_sums: bool,
     pub max_binding_bytes: u64,
 }
 
@@ -116,18 +117,17 @@ impl Gpu {
 
     async fn from_adapter(adapter: &wgpu::Adapter) -> Result<Arc<Gpu>, GpuError> {
         let info = adapter.get_info();
-        // `EFFIGY_NO_FLOAT_ATOMICS` tests the compare-and-swap twin on a device that has the real ones.
-        let float_atomics = adapter.features().contains(wgpu::Features::SHADER_FLOAT32_ATOMIC)
-            && std::env::var_os("EFFIGY_NO_FLOAT_ATOMICS").is_none();
         let mut features = wgpu::Features::empty();
-        if float_atomics {
-            features |= wgpu::Features::SHADER_FLOAT32_ATOMIC;
-        }
-        // Likewise `EFFIGY_NO_WIDE_ATOMICS`.
+        // `EFFIGY_NO_WIDE_ATOMICS` tests what stands for them on a device that has them.
         let wide = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX;
         let wide_atomics = adapter.features().contains(wide) && std::env::var_os("EFFIGY_NO_WIDE_ATOMICS").is_none();
+        // Metal raises them and does not add.
+        let wide_sums = wide_atomics && adapter.features().contains(wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS);
         if wide_atomics {
             features |= wide;
+        }
+        if wide_sums {
+            features |= wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS;
         }
         let limits = adapter.limits();
         let max_binding_bytes = limits.max_storage_buffer_binding_size;
@@ -159,8 +159,8 @@ impl Gpu {
                 backend: info.backend.to_string(),
                 driver: format!("{} {}", info.driver, info.driver_info),
                 software: info.device_type == wgpu::DeviceType::Cpu,
-                float_atomics,
                 wide_atomics,
+                wide_sums,
                 max_binding_bytes,
             },
             device,

@@ -21,13 +21,24 @@ impl Gpu {
     /// `label` is the path of its file under `shaders/` without the ending (`soft_rasterize/backward`); `constants`
     /// are values for its `#const` lines, as WGSL literals (`"8u"`, `"1.5"`).
     pub fn kernel(&self, label: &str, source: &str, constants: &[(&str, String)]) -> Arc<Kernel> {
+        self.kernel_with(label, source, constants, self.info().wide_sums)
+    }
+
+    /// [`kernel`](Self::kernel), with or without 64-bit additions.
+    pub(crate) fn kernel_with(
+        &self,
+        label: &str,
+        source: &str,
+        constants: &[(&str, String)],
+        wide_sums: bool,
+    ) -> Arc<Kernel> {
         let mut hasher = DefaultHasher::new();
-        (label, source, constants).hash(&mut hasher);
+        (label, source, constants, wide_sums).hash(&mut hasher);
         let key = hasher.finish();
         if let Some(kernel) = self.kernels.lock().unwrap().get(&key) {
             return kernel.clone();
         }
-        let mut text = expand(label, source, Expansion { float_atomics: self.info().float_atomics, constants });
+        let mut text = expand(label, source, Expansion { wide_sums, constants });
         if strikes(Point::Shader) {
             text.push_str("\nthis is no WGSL");
         }

@@ -3,8 +3,9 @@
 //! - `#import shared/NAME` pastes `shaders/shared/NAME.wgsl`, once.
 //! - `#const NAME: TYPE = DEFAULT` becomes `const NAME: TYPE = VALUE;` where the host may give another value; array
 //!   sizes can then depend on it, and no constant is stated twice.
-//! - `#atomic_f32 BUFFER` makes `fn BUFFER_add(i: u32, value: f32)` for a storage binding declared as
-//!   `array<atomic_f32>`: native float atomics where the device has them, a compare-and-swap loop where not.
+//! - `#exact_sum BUFFER` makes `fn BUFFER_add(i: u32, value: f32)` for a storage binding declared as `array<exact_sum>`
+//!   (`src/ops/exact_sum.rs`): one 64-bit atomic addition where the device has them, else two of 32 bits, with the same
+//!   sums. It needs `#import shared/exact_sum`.
 //! - `#for NAME in FIRST..END` repeats the lines up to its `#end` with `$NAME` replaced by each number; bounds are
 //!   numbers or `#const` names, and repetitions nest. Drivers do not unroll long loops by themselves, and a software
 //!   driver reads memory quickly at constant addresses alone.
@@ -16,6 +17,7 @@ use std::fmt::Write;
 const SHARED: &[(&str, &str)] = &[
     ("shared/adam_step", include_str!("../../shaders/shared/adam_step.wgsl")),
     ("shared/area_ratio", include_str!("../../shaders/shared/area_ratio.wgsl")),
+    ("shared/exact_sum", include_str!("../../shaders/shared/exact_sum.wgsl")),
     ("shared/hard_triangle", include_str!("../../shaders/shared/hard_triangle.wgsl")),
     ("shared/hash_grid", include_str!("../../shaders/shared/hash_grid.wgsl")),
     ("shared/linear_index", include_str!("../../shaders/shared/linear_index.wgsl")),
@@ -39,7 +41,8 @@ const SHARED: &[(&str, &str)] = &[
 /// What a source expands to on a device.
 #[derive(Clone, Copy, Debug)]
 pub struct Expansion<'a> {
-    pub float_atomics: bool,
+    /// Whether the device adds to 64-bit numbers atomically.
+    pub wide_sums: bool,
     /// Values for `#const` lines, as WGSL literals.
     pub constants: &'a [(&'a str, String)],
 }
@@ -53,9 +56,9 @@ pub fn expand(label: &str, source: &str, how: Expansion<'_>) -> String {
     let mut out = String::with_capacity(source.len() * 2);
     let mut seen = HashSet::new();
     let mut used = HashMap::new();
-    let alias = if how.float_atomics { "f32" } else { "u32" };
-    if source.contains("atomic_f32") {
-        writeln!(out, "alias atomic_f32 = atomic<{alias}>;").unwrap();
+    if source.contains("#exact_sum") {
+        let word = if how.wide_sums { "u64" } else { "u32" };
+        writeln!(out, "alias exact_sum = atomic<{word}>;").unwrap();
     }
     paste(label, source, how, &mut seen, &mut used, &mut out);
     for (name, _) in how.constants {
@@ -87,8 +90,8 @@ fn paste<'a>(
             let value = given.map_or(default.trim(), |(_, value)| value);
             used.insert(name.trim(), value.to_owned());
             writeln!(out, "const {}: {} = {value};", name.trim(), kind.trim()).unwrap();
-        } else if let Some(buffer) = line.strip_prefix("#atomic_f32 ") {
-            atomic_add(buffer.trim(), how.float_atomics, out);
+        } else if let Some(buffer) = line.strip_prefix("#exact_sum ") {
+            exact_add(buffer.trim(), how.wide_sums, out);
         } else {
             out.push_str(line);
             out.push('\n');
@@ -132,17 +135,21 @@ fn unroll(label: &str, text: &str, constants: &HashMap<&str, String>) -> String 
     out
 }
 
-fn atomic_add(buffer: &str, native: bool, out: &mut String) {
-    let body = if native {
-        format!("    atomicAdd(&{buffer}[i], value);\n")
+/// In two words the low ones' carries are counted one by one, so that the sum is whole whatever the order.
+fn exact_add(buffer: &str, wide: bool, out: &mut String) {
+    let body = if wide {
+        format!("    atomicAdd(&{buffer}[i], (u64(words.y) << 32u) | u64(words.x));\n")
     } else {
         format!(
-            "    var old = atomicLoad(&{buffer}[i]);\n    loop {{\n        let sum = bitcast<u32>(bitcast<f32>(old) + value);\n        \
-             let result = atomicCompareExchangeWeak(&{buffer}[i], old, sum);\n        if result.exchanged {{ break; }}\n        \
-             old = result.old_value;\n    }}\n"
+            "    let before = atomicAdd(&{buffer}[2u * i], words.x);
+    let high = words.y + select(0u, 1u, before + words.x < before);
+    if high != 0u {{
+        atomicAdd(&{buffer}[2u * i + 1u], high);
+    }}
+"
         )
     };
-    write!(out, "fn {buffer}_add(i: u32, value: f32) {{\n{body}}}\n").unwrap();
+    write!(out, "fn {buffer}_add(i: u32, value: f32) {{\n    let words = exact_words(value);\n{body}}}\n").unwrap();
 }
 
 #[cfg(test)]
@@ -165,22 +172,22 @@ mod tests {
         found
     }
 
-    /// Every shader is valid WGSL with its default constants, with and without float atomics; no device is needed.
+    /// Every shader is valid WGSL with its default constants, with and without 64-bit atomics; no device is needed.
     #[test]
     fn naga_accepts_every_shader() {
         let all = shaders();
         assert!(!all.is_empty());
         let mut failures = String::new();
         for (label, source) in &all {
-            for float_atomics in [true, false] {
-                let text = expand(label, source, Expansion { float_atomics, constants: &[] });
+            for wide_sums in [true, false] {
+                let text = expand(label, source, Expansion { wide_sums, constants: &[] });
                 let mut validator =
                     naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::all());
                 let result = naga::front::wgsl::parse_str(&text)
                     .map_err(|e| e.emit_to_string(&text))
                     .and_then(|module| validator.validate(&module).map_err(|e| e.emit_to_string(&text)));
                 if let Err(error) = result {
-                    writeln!(failures, "{label} (float atomics {float_atomics}):\n{error}").unwrap();
+                    writeln!(failures, "{label} (64-bit atomics {wide_sums}):\n{error}").unwrap();
                 }
                 let entries = text.matches("@compute").count();
                 if entries != 1 {
@@ -193,21 +200,20 @@ mod tests {
 
     #[test]
     fn a_constant_takes_the_host_value() {
-        let text =
-            expand("t", "#const N: u32 = 4u\n", Expansion { float_atomics: true, constants: &[("N", "8u".into())] });
+        let text = expand("t", "#const N: u32 = 4u\n", Expansion { wide_sums: true, constants: &[("N", "8u".into())] });
         assert_eq!(text, "const N: u32 = 8u;\n");
     }
 
     #[test]
     fn repetitions_nest_and_take_constants() {
         let text = "#const N: u32 = 2u\n#for I in 0..N\na$I\n  #for J in 1..3\nb$I$J\n  #end\n#end\nc\n";
-        let text = expand("t", text, Expansion { float_atomics: true, constants: &[] });
+        let text = expand("t", text, Expansion { wide_sums: true, constants: &[] });
         assert_eq!(text, "const N: u32 = 2u;\na0\nb01\nb02\na1\nb11\nb12\nc\n");
     }
 
     #[test]
     #[should_panic(expected = "no #const M")]
     fn an_undeclared_constant_is_refused() {
-        expand("t", "#const N: u32 = 4u\n", Expansion { float_atomics: true, constants: &[("M", "8u".into())] });
+        expand("t", "#const N: u32 = 4u\n", Expansion { wide_sums: true, constants: &[("M", "8u".into())] });
     }
 }

@@ -26,6 +26,7 @@ pub mod angular_acceleration;
 mod corners;
 pub mod diffuse;
 pub mod edge_gradient;
+pub mod exact_sum;
 pub mod face_area;
 pub mod face_normals;
 mod fill;

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 
 use effigy::avatar::{AvatarModel, RenderSpec, Renderer, UvLayout};
 use effigy::body::Body;
@@ -347,6 +348,8 @@ fn a_texture_goes_on_with_the_uploaded_pictures_where_they_are_larger() {
 #[derive(Default)]
 struct Patient {
     losses: BTreeMap<&'static str, BTreeMap<&'static str, f32>>,
+    /// Holds the fit up after each of its first steps for so long.
+    dawdles: Duration,
 }
 
 impl Control for Patient {
@@ -354,6 +357,9 @@ impl Control for Patient {
         if let Some(losses) = report.losses {
             let stage = if report.stage == fit::Stage::Geometry { "geometry" } else { "texture" };
             self.losses.insert(stage, losses.clone());
+        }
+        if report.step <= 12 {
+            std::thread::sleep(self.dawdles);
         }
         Flow::Continue
     }
@@ -380,8 +386,18 @@ impl Start {
     }
 
     fn fit(&self, gpu: &Arc<Gpu>, config: &FitConfig, state: FitState) -> (Result<FitState, FitError>, Patient) {
+        self.fit_by(gpu, config, state, Patient::default())
+    }
+
+    fn fit_by(
+        &self,
+        gpu: &Arc<Gpu>,
+        config: &FitConfig,
+        state: FitState,
+        mut patient: Patient,
+    ) -> (Result<FitState, FitError>, Patient) {
         let folder = tempfile::tempdir().unwrap();
-        let (path, mut patient) = (folder.path().join("checkpoint.npz"), Patient::default());
+        let path = folder.path().join("checkpoint.npz");
         let Self { body, capture, camera, .. } = self;
         (fit::run(gpu, body, capture, camera, config, state, &path, &mut patient), patient)
     }
@@ -403,6 +419,21 @@ fn a_fit_that_diverges_says_so() {
     config.rates.transl = f32::MAX;
     let (result, _) = start.fit(&gpu, &config, start.state.clone());
     assert!(matches!(result, Err(FitError::Diverged { .. })), "{:?}", result.map(|state| state.transl));
+}
+
+/// Bit by bit, also where losses are reported at other steps: what a fit becomes does not depend on the clock.
+#[test]
+fn the_same_seed_gives_the_same_avatar() {
+    let Some(gpu) = gpu("the_same_seed_gives_the_same_avatar") else { return };
+    let start = Start::new(&gpu, 6);
+    let config = short(FitConfig::standard(3));
+    let first = start.fit(&gpu, &config, start.state.clone()).0.unwrap();
+    // Reports come once a second.
+    let slow = Patient { dawdles: Duration::from_millis(350), ..Patient::default() };
+    let second = start.fit_by(&gpu, &config, start.state.clone(), slow).0.unwrap();
+    assert!(first == second, "two fits of one seed differ");
+    let other = start.fit(&gpu, &short(FitConfig::standard(4)), start.state.clone()).0.unwrap();
+    assert!(first != other, "another seed gives the same");
 }
 
 #[test]

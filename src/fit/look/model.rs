@@ -74,6 +74,7 @@ impl TextureModel {
     pub fn step(&mut self, recorder: &mut Recorder<'_>, rate: f32, n: u32) {
         match self {
             Self::Hash { field, table, weights } => {
+                field.settle(recorder);
                 let whole = (0..field.table.len(), 0..field.weights.len());
                 table.step(recorder, &field.table, &field.grad_table, whole.0, rate, n);
                 weights.step(recorder, &field.weights, &field.grad_weights, whole.1, rate, n);

@@ -95,7 +95,7 @@ impl Middles {
     fn new(gpu: &Gpu, n_faces: usize) -> Self {
         let faces: Vec<i32> = (0..n_faces as i32).collect();
         Self {
-            interpolate: Interpolate::new(gpu, n_faces, n_faces),
+            interpolate: Interpolate::new(gpu, n_faces, n_faces, 0),
             pix_to_face: gpu.upload("fit/middles/pix_to_face", &faces),
             bary_coords: gpu.upload("fit/middles/bary_coords", &vec![1.0 / 3.0; 3 * n_faces]),
             n_faces,
@@ -140,7 +140,7 @@ impl Texture {
             mirror: inputs.body.mirror.clone(),
             template: inputs.body.v_template.clone(),
             lit: config.light.then(lit),
-            interpolate: Interpolate::new(gpu, n, listed),
+            interpolate: Interpolate::new(gpu, n, listed, coords.len() / 3),
             rgb: RgbL1::new(gpu, n),
             face_colours: gpu.upload("fit/face_colours", &state.face_colours),
             grad_face_colours: gpu.zeros("fit/grad_face_colours", state.face_colours.len()),

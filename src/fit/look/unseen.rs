@@ -154,7 +154,7 @@ impl Unseen {
         let target: Vec<u32> = points().map(|(f, _)| pack_pixel(byte(f), 255)).collect();
         let zeros = |name: &str, len: usize| gpu.zeros::<f32>(&format!("fit/unseen/{name}"), len);
         Some(Self {
-            interpolate: Interpolate::new(gpu, n, n),
+            interpolate: Interpolate::new(gpu, n, n, 0),
             rgb: RgbL1::new(gpu, n),
             pix_to_face: gpu.upload("fit/unseen/pix_to_face", &pix_to_face),
             bary_coords: gpu.upload("fit/unseen/bary_coords", &bary),

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::Sampling;
 use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder, linear_groups};
+use crate::ops::exact_sum::ExactSum;
 use crate::ops::fill::Fill;
 
 /// Pixels of a mask.
@@ -30,6 +31,7 @@ pub struct Interpolate {
     /// Of 64, for the listed pixels.
     workgroups: Buffer<u32>,
     fill: Fill,
+    texcoords_sums: ExactSum,
     /// `[1]`
     pub count: Buffer<u32>,
     /// `[capacity]`
@@ -39,8 +41,9 @@ pub struct Interpolate {
 }
 
 impl Interpolate {
-    /// For images of up to `max_pixels`, of which up to `capacity` are listed.
-    pub fn new(gpu: &Gpu, max_pixels: usize, capacity: usize) -> Self {
+    /// For images of up to `max_pixels`, of which up to `capacity` are listed, and an attribute of `n_vertices` vertices; where
+    /// [`backward`](Self::backward) is not used, 0 will do.
+    pub fn new(gpu: &Gpu, max_pixels: usize, capacity: usize, n_vertices: usize) -> Self {
         let blocks = max_pixels.div_ceil(BLOCK);
         Self {
             kernels: kernels(gpu),
@@ -50,6 +53,7 @@ impl Interpolate {
             firsts: gpu.zeros("interpolate/firsts", blocks),
             workgroups: gpu.zeros("interpolate/workgroups", 3),
             fill: Fill::new(gpu),
+            texcoords_sums: ExactSum::new(gpu, "interpolate/texcoords_sums", 3 * n_vertices),
             count: gpu.zeros("interpolate/count", 1),
             pixel_index: gpu.zeros("interpolate/pixel_index", capacity),
             coords: gpu.zeros("interpolate/coords", 3 * capacity),
@@ -112,7 +116,7 @@ impl Interpolate {
     /// Records the gradient by the attribute: adds to `grad_texcoords [V, 3]` what `grad_coords [P, 3]` says.
     ///
     /// # Panics
-    /// When `grad_coords` is shorter than the list can be.
+    /// When `grad_coords` is shorter than the list can be, or `grad_texcoords` is not of the vertices that this was made for.
     #[expect(clippy::too_many_arguments, reason = "the operands of the contract")]
     pub fn backward(
         &self,
@@ -126,8 +130,9 @@ impl Interpolate {
     ) {
         let n_max = self.checked_n_max(n_pixels, grad_coords);
         let buffers: [&dyn AnyBuffer; 7] =
-            [&self.count, &self.pixel_index, pix_to_face, bary_coords, faces, grad_coords, grad_texcoords];
+            [&self.count, &self.pixel_index, pix_to_face, bary_coords, faces, grad_coords, &self.texcoords_sums.sums];
         self.each(recorder, &self.kernels.backward, n_max, &buffers);
+        self.texcoords_sums.settle(recorder, grad_texcoords);
     }
 
     /// Records the gradient by the barycentric coordinates: adds to `grad_bary [H, W, 3]` at the listed pixels.

@@ -99,7 +99,7 @@ fn gpu_matches_cpu(test: &str, n_pixels: usize, sampling: Sampling) {
     // Larger buffers than the image, as in a fit whose crops differ in size.
     let capacity = n_pixels + 100;
     let grad_image: Vec<f32> = (0..3 * n_pixels).map(|i| (i as f32 * 0.7).sin()).collect();
-    let op = Interpolate::new(&gpu, capacity, capacity);
+    let op = Interpolate::new(&gpu, capacity, capacity, texcoords.len() / 3);
     let [bary_buffer, texcoords_buffer, grad_image_buffer] =
         [("bary", &bary), ("texcoords", &texcoords), ("grad_image", &grad_image)].map(|(l, x)| gpu.upload(l, x));
     let pix_to_face = gpu.upload("pix_to_face", &s.pix_to_face);
@@ -155,7 +155,7 @@ fn gpu_matches_cpu_with_a_sample() {
 fn the_list_ends_at_its_capacity() {
     let Some(gpu) = gpu("interpolate::the_list_ends_at_its_capacity") else { return };
     let s = scene(100, 5, 7);
-    let op = Interpolate::new(&gpu, 100, 10);
+    let op = Interpolate::new(&gpu, 100, 10, 0);
     let pix_to_face = gpu.upload("pix_to_face", &s.pix_to_face);
     let [bary, texcoords] =
         [("bary", &s.bary_coords), ("texcoords", &s.texcoords)].map(|(l, x)| gpu.upload(l, &f32s(x)));

@@ -107,7 +107,7 @@ fn light_on_vertices_and_pixels_matches_the_twin() {
     let bary: Vec<f32> = vec![0.0, 0.0, 0.0, 0.2, 0.3, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let bary_coords = gpu.upload("bary", &bary);
     let faces = gpu.upload("faces", FACES.as_flattened());
-    let list = Interpolate::new(&gpu, 4, 4);
+    let list = Interpolate::new(&gpu, 4, 4, 0);
     let (texcoords, parts) = (gpu.zeros::<f32>("texcoords", 12), gpu.zeros::<f32>("parts", 8));
     let face_parts = gpu.zeros::<f32>("face_parts", 4);
     // The second of two frames.

@@ -67,6 +67,7 @@ pub struct SoftRasterizer {
     max_pixels: usize,
     limits_pass: Arc<Kernel>,
     scan: Arc<Kernel>,
+    order: Arc<Kernel>,
     /// With coverage; colours alone.
     with_coverage: Passes,
     colours_alone: Passes,
@@ -105,6 +106,7 @@ impl SoftRasterizer {
         Self {
             limits_pass: kernel!(gpu, "soft_rasterize/limits", &[("TILE", format!("{TILE}u"))]),
             scan: kernel!(gpu, "soft_rasterize/scan"),
+            order: kernel!(gpu, "soft_rasterize/order"),
             with_coverage: Passes::new(gpu, true),
             colours_alone: Passes::new(gpu, false),
             records: gpu.zeros("soft_rasterize/records", n_faces * 16),
@@ -117,7 +119,7 @@ impl SoftRasterizer {
             limits: gpu.zeros("soft_rasterize/limits", n_tiles),
             busy: gpu.zeros("soft_rasterize/busy", n_tiles + 1),
             drawn: gpu.zeros("soft_rasterize/drawn", n_faces + 1),
-            workgroups: gpu.zeros("soft_rasterize/workgroups", 6),
+            workgroups: gpu.zeros("soft_rasterize/workgroups", 9),
             pixels: gpu.zeros("soft_rasterize/pixels", max_pixels * 4),
             pixels_rest: gpu.zeros("soft_rasterize/pixels_rest", max_pixels * 2),
             fill: Fill::new(gpu),
@@ -212,6 +214,7 @@ impl SoftRasterizer {
         let buffers: [&dyn AnyBuffer; 6] = [counts, starts, cursors, busy, drawn, workgroups];
         recorder.dispatch(&self.scan, &params, &buffers, [1, 1, 1]);
         recorder.dispatch(&passes.fill, &params, &[boxes, cursors, entries, records, limits], by_face);
+        recorder.dispatch_indirect(&self.order, &params, &[starts, busy, entries], workgroups, 6);
         let buffers: [&dyn AnyBuffer; 8] =
             [records, face_colours, starts, entries, &self.rgb, &self.alpha, &self.state, busy];
         recorder.dispatch_indirect(&passes.forward, &params, &buffers, workgroups, 0);

@@ -31,8 +31,8 @@
 //! of a body is its far side.
 //!
 //! **Forward** bins faces into tiles of 4 × 4 pixels. The lists together hold `list_capacity` entries; a tile whose list
-//! does not fit goes through all the faces instead: slow, never wrong; [`SoftRasterizer::list_length`] tells. The order
-//! within a list is that of arrival, so two runs may differ in the last bits.
+//! does not fit goes through all the faces instead: slow, never wrong; [`SoftRasterizer::list_length`] tells. Faces come into
+//! a list as they arrive and are then put in order, so that every run sums them alike.
 //!
 //! **Backward** goes face by face, a workgroup each, over the pixels within reach and writes each face's corners once, in a
 //! fixed order and without float atomics.

@@ -287,6 +287,28 @@ fn gpu_matches_cpu_on_a_body_like_surface() {
     scene.gpu(&gpu, 1 << 18).assert_close(&scene.cpu(), 3e-4, 5e-3);
 }
 
+/// Small pictures of many faces: lists of all lengths up to the whole mesh, in the order of the faces whatever the timing.
+#[test]
+fn every_run_gives_the_same_bits() {
+    let Some(gpu) = gpu("soft_rasterize::every_run_gives_the_same_bits") else { return };
+    for (n, side) in [(24, 40), (40, 12)] {
+        let mut scene = bumpy(n, side, side);
+        scene.params.sigma = 2e-3;
+        let first = scene.gpu(&gpu, 1 << 18);
+        let wanted = scene.cpu();
+        assert_close("rgb", &first.rgb, &wanted.rgb, 3e-4);
+        assert_close("alpha", &first.alpha, &wanted.alpha, 3e-4);
+        for _ in 0..8 {
+            let again = scene.gpu(&gpu, 1 << 18);
+            assert!(first.rgb == again.rgb && first.alpha == again.alpha, "{side}²: the image");
+            assert!(
+                first.grad_view == again.grad_view && first.grad_colours == again.grad_colours,
+                "{side}²: gradients"
+            );
+        }
+    }
+}
+
 #[test]
 fn hidden_faces_have_no_share_in_the_colours() {
     let Some(gpu) = gpu("soft_rasterize::hidden_faces_have_no_share_in_the_colours") else { return };

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder, linear_groups};
+use crate::ops::exact_sum::ExactSum;
 
 /// A texel map on the device with its gradient.
 pub struct TexelMap {
@@ -13,6 +14,7 @@ pub struct TexelMap {
     /// `[S, S, 3]`
     pub texels: Buffer<f32>,
     pub grad_texels: Buffer<f32>,
+    texel_sums: ExactSum,
     /// `[capacity, 3]`
     pub rgb: Buffer<f32>,
 }
@@ -31,6 +33,7 @@ impl TexelMap {
             capacity,
             texels: gpu.upload("texel_map/texels", texels),
             grad_texels: gpu.zeros("texel_map/grad_texels", texels.len()),
+            texel_sums: ExactSum::new(gpu, "texel_map/texel_sums", texels.len()),
             rgb: gpu.zeros("texel_map/rgb", 3 * capacity),
         }
     }
@@ -60,8 +63,9 @@ impl TexelMap {
     ) {
         let shortest = [coords.len() / 3, grad_rgb.len() / 3, grad_coords.len() / 3];
         assert!(shortest.iter().all(|&len| n_max <= len), "texel_map: {n_max} coordinates of {shortest:?}");
-        let buffers: [&dyn AnyBuffer; 6] = [count, coords, &self.texels, grad_rgb, &self.grad_texels, grad_coords];
+        let buffers: [&dyn AnyBuffer; 6] = [count, coords, &self.texels, grad_rgb, &self.texel_sums.sums, grad_coords];
         recorder.dispatch(&self.backward, &self.params(n_max), &buffers, linear_groups(n_max, 64));
+        self.texel_sums.settle(recorder, &self.grad_texels);
     }
 
     fn params(&self, n_max: usize) -> [u32; 4] {

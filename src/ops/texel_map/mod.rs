@@ -13,7 +13,7 @@
 //!
 //! Not differentiable, and one-sided there: by the coordinate at the middles of texels (the cell above counts).
 //!
-//! `grad_texels` is summed by float atomics, whose order varies.
+//! `grad_texels` is summed as whole numbers ([`super::exact_sum`]).
 
 pub mod cpu;
 mod gpu;

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::layout::Layout;
 use super::{FEATURES, MAX_LEVELS, TextureFieldConfig, TextureFieldError, TextureFieldParams};
 use crate::gpu::{AnyBuffer, Buffer, Gpu, GpuError, Kernel, Recorder};
+use crate::ops::exact_sum::ExactSum;
 
 /// Lanes of a workgroup that takes a pixel a lane; and the most pixels for which such workgroups can be counted.
 const LANES: usize = 256;
@@ -80,6 +81,7 @@ pub struct TextureField {
     /// All layers, in the device's order.
     pub weights: Buffer<f32>,
     pub grad_table: Buffer<f32>,
+    table_sums: ExactSum,
     pub grad_weights: Buffer<f32>,
     /// `[capacity, 3]`, the last forward pass's result.
     pub rgb: Buffer<f32>,
@@ -121,6 +123,7 @@ impl TextureField {
             table: gpu.upload("texture_field/table", &params.table),
             weights: gpu.upload("texture_field/weights", &layout.pack(params)),
             grad_table: scratch("grad_table", params.table.len()),
+            table_sums: ExactSum::new(gpu, "texture_field/table_sums", params.table.len()),
             grad_weights: scratch("grad_weights", 4 * layout.weights4()),
             rgb: scratch("rgb", 3 * capacity),
         })
@@ -157,8 +160,8 @@ impl TextureField {
         recorder.dispatch_indirect(&self.kernels.mlp_forward, &params, &buffers, &a.groups, BY_PIXEL);
     }
 
-    /// Records the backward pass of the last [`forward`](Self::forward), with the same arguments: adds to `grad_table`,
-    /// `grad_weights` and `grad_coords [P, 3]` what `grad_rgb [P, 3]` says.
+    /// Records the backward pass of the last [`forward`](Self::forward), with the same arguments: adds to `grad_weights` and
+    /// `grad_coords [P, 3]` what `grad_rgb [P, 3]` says, and to `grad_table` when [`settle`](Self::settle) follows.
     ///
     /// # Panics
     /// As `forward`, and when a gradient is shorter than `n_max`.
@@ -199,10 +202,15 @@ impl TextureField {
         let buffers: [&dyn AnyBuffer; 3] = [count, &a.partial, &self.grad_weights];
         recorder.dispatch(&self.kernels.weight_reduce, &params(0), &buffers, [weights4.div_ceil(64) as u32, 1, 1]);
         let encode = EncodeParams { n_max: n_max as u32, ..self.encode_params };
-        let buffers: [&dyn AnyBuffer; 4] = [count, coords, &a.grad_encoded, &self.grad_table];
+        let buffers: [&dyn AnyBuffer; 4] = [count, coords, &a.grad_encoded, &self.table_sums.sums];
         recorder.dispatch_indirect(&self.kernels.table_gradient, &encode, &buffers, &a.groups, BY_RUN);
         let buffers: [&dyn AnyBuffer; 5] = [count, coords, &self.table, &a.grad_encoded, grad_coords];
         recorder.dispatch_indirect(&self.kernels.coords_gradient, &encode, &buffers, &a.groups, BY_PIXEL);
+    }
+
+    /// Records that `grad_table` takes in what backward passes found since it last did.
+    pub fn settle(&self, recorder: &mut Recorder<'_>) {
+        self.table_sums.settle(recorder, &self.grad_table);
     }
 
     /// Records zeros into `grad_table` and `grad_weights`.

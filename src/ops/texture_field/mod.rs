@@ -20,7 +20,8 @@
 //! weights at ReLU's kink (zero counts).
 //!
 //! Backward reads the activations of the last forward pass over the same coordinates. Gradients of the weights are
-//! summed in a fixed order; those of the table by float atomics, whose order varies.
+//! summed in a fixed order, those of the table as whole numbers ([`super::exact_sum`]), which go into
+//! `grad_table` once for all passes of a step.
 
 pub mod cpu;
 mod gpu;

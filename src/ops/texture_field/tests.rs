@@ -72,6 +72,7 @@ fn gpu_matches_golden() {
     let mut recorder = gpu.recorder("texture_field/test");
     field.forward(&mut recorder, &coords, &count, n);
     field.backward(&mut recorder, &coords, &count, n, &grad_rgb, &grad_coords);
+    field.settle(&mut recorder);
     recorder.submit().unwrap();
     assert_close("rgb", &gpu.read(&field.rgb).unwrap(), &data::<f64>(&npz, "rgb"), VALUE);
     assert_params(&field.gradients(&gpu).unwrap(), &golden_params(&npz, "grad_"), GRADIENT);
@@ -207,6 +208,7 @@ fn gpu_matches_cpu(test: &str, config: TextureFieldConfig, n: usize, listed: usi
     let mut recorder = gpu.recorder("texture_field/test");
     field.forward(&mut recorder, &coords_buffer, &count, n);
     field.backward(&mut recorder, &coords_buffer, &count, n, &grad_rgb, &grad_coords);
+    field.settle(&mut recorder);
     recorder.submit().unwrap();
 
     // The twin computes in f32 too: both see the same cells, since they round a position alike.
@@ -248,6 +250,7 @@ fn an_empty_list_leaves_everything() {
     let mut recorder = gpu.recorder("texture_field/test");
     field.forward(&mut recorder, &coords, &count, 10);
     field.backward(&mut recorder, &coords, &count, 10, &coords, &grad_coords);
+    field.settle(&mut recorder);
     recorder.submit().unwrap();
     assert_eq!(gpu.read(&field.rgb).unwrap(), [0.0; 30]);
     assert_eq!(field.gradients(&gpu).unwrap(), TextureFieldParams::zeros(&config));
