@@ -61,6 +61,7 @@ impl StepBench {
             fps: 30.0,
             frames: (0..n_frames as u32).map(|index| Frame { index, ..frame.clone() }).collect(),
             keypoint_format: "coco17".to_owned(),
+            given_keypoint_format: "coco17".to_owned(),
             poses: None,
             warnings: Vec::new(),
         };

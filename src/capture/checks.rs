@@ -255,7 +255,7 @@ mod tests {
     }
 
     fn people(people: Vec<Vec<Point>>) -> Keypoints {
-        Keypoints { format: COCO17, frames: vec![people], warnings: Vec::new() }
+        Keypoints { format: COCO17, given: COCO17, frames: vec![people], warnings: Vec::new() }
     }
 
     #[test]

@@ -147,6 +147,7 @@ impl Capture {
             fps: clip.fps(),
             frames,
             keypoint_format: clip.keypoints.format.name.to_owned(),
+            given_keypoint_format: clip.keypoints.given.name.to_owned(),
             poses: clip.poses.as_ref().map(|poses| poses.subset(&shown)),
             warnings: clip.warnings,
         })

@@ -18,6 +18,8 @@ pub(super) type Point = [f64; 3];
 #[derive(Debug)]
 pub(super) struct Keypoints {
     pub format: Format,
+    /// As they were sent.
+    pub given: Format,
     /// `[N]` frames of people of `format.points` points each. A frame may have nobody.
     pub frames: Vec<Vec<Vec<Point>>>,
     pub warnings: Vec<String>,
@@ -70,7 +72,7 @@ fn parse_json(reader: impl std::io::Read) -> Result<Keypoints, BadInput> {
     // A detector that saw nobody wrote no points.
     let people = |frame: Vec<Point>| if frame.is_empty() { Vec::new() } else { vec![format.to_used(frame)] };
     let frames = frames.into_iter().map(people).collect();
-    Ok(Keypoints { format: format.used(), frames, warnings: Vec::new() })
+    Ok(Keypoints { format: format.used(), given: format, frames, warnings: Vec::new() })
 }
 
 /// A parser's error, with the frame and the point that it was at.

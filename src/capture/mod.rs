@@ -76,6 +76,8 @@ pub struct Capture {
     pub frames: Vec<Frame>,
     /// `coco17`, `coco18` or `body25`, as which wider formats are read
     pub keypoint_format: String,
+    /// As the keypoints came: `mediapipe33` where they were read as `body25`.
+    pub given_keypoint_format: String,
     pub poses: Option<KnownPoses>,
     /// What was odd but not wrong, for the report: one line each.
     pub warnings: Vec<String>,

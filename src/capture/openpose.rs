@@ -35,7 +35,7 @@ pub(super) fn read(path: &Path) -> Result<Keypoints, CaptureError> {
     let Some(format) = format else {
         return Err(BadInput::new(Part::Keypoints, "nobody is in any frame", "a person in most frames").into());
     };
-    Ok(Keypoints { format: format.used(), frames, warnings: Vec::new() })
+    Ok(Keypoints { format: format.used(), given: format, frames, warnings: Vec::new() })
 }
 
 fn read_frame(bytes: &[u8], format: &mut Option<Format>) -> Result<Vec<Vec<Point>>, BadInput> {

@@ -80,6 +80,7 @@ impl Closer {
             fps: capture.fps,
             frames: self.of(&capture.frames),
             keypoint_format: capture.keypoint_format.clone(),
+            given_keypoint_format: capture.given_keypoint_format.clone(),
             poses: None,
             warnings: Vec::new(),
         })
@@ -276,6 +277,7 @@ mod tests {
             fps: 30.0,
             frames: (0..n).map(|i| picture(2 * i, [10, 20, person / 3, person])).collect(),
             keypoint_format: "coco17".into(),
+            given_keypoint_format: "coco17".into(),
             poses: None,
             warnings: Vec::new(),
         }

@@ -49,6 +49,7 @@ pub fn refine_pose(
         fps: 1.0,
         frames: vec![picture],
         keypoint_format: String::new(),
+        given_keypoint_format: String::new(),
         poses: None,
         warnings: Vec::new(),
     };

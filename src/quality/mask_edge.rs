@@ -153,6 +153,7 @@ mod tests {
             fps: 30.0,
             frames,
             keypoint_format: "coco17".to_owned(),
+            given_keypoint_format: "coco17".to_owned(),
             poses: None,
             warnings: Vec::new(),
         }

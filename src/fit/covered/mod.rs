@@ -159,6 +159,7 @@ mod tests {
             fps: 30.0,
             frames: (0..8).map(frame).collect(),
             keypoint_format: "coco17".to_owned(),
+            given_keypoint_format: "coco17".to_owned(),
             poses: None,
             warnings: Vec::new(),
         }

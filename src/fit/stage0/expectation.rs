@@ -5,11 +5,12 @@ use glam::{DMat3, DVec3};
 use super::landmarks::N_OFFSETS;
 use super::normal::Normal;
 use super::prior;
-use super::problem::{NEAR, Problem, Scales};
+use super::problem::{NEAR, Problem, Scales, Stance};
 use super::rotation;
 use super::state::{Frame, Layout, Shared, State};
 use super::steps;
 use super::tracks;
+use crate::body::N_JOINTS;
 
 /// Poses that came with the clip: the fit may move only this far from them (1σ; radians, metres).
 const ANCHOR_ANGLE: f64 = 0.02;
@@ -97,6 +98,20 @@ impl Problem {
                 normal.add(t, slopes, &[], residual, weight);
             }
         };
+        if let Some(stance) = &self.stance {
+            let share = self.sway_share(t).sqrt();
+            let turns = rotation::skew(up);
+            for axis in [0, 2] {
+                let slopes = [0, 1, 2].map(|c| (c, turns.col(c)[axis]));
+                pull(&slopes, up[axis] - stance.up[axis], prior::sway(0) / share);
+            }
+            for p in self.prior.joints.iter().filter(|p| self.layout.joint_column(p.joint).is_some()) {
+                for axis in 0..3 {
+                    let (stood, slopes, n) = self.without_steps(t, frame, p.joint, axis);
+                    pull(&slopes[..n], stood - stance.theta[p.joint][axis], prior::sway(p.joint) / share);
+                }
+            }
+        }
         for p in &self.prior.joints {
             let Some(column) = self.layout.joint_column(p.joint) else { continue };
             for axis in 0..3 {
@@ -110,6 +125,28 @@ impl Problem {
             }
         }
         cost
+    }
+
+    /// An Ornstein–Uhlenbeck process beside its changes, which are the walk's: a look's worth for the time that it covers, and half of
+    /// one more where the clip begins and ends.
+    fn sway_share(&self, t: usize) -> f64 {
+        let around = [t.checked_sub(1).and_then(|before| self.gaps.get(before)), self.gaps.get(t)];
+        let ends = around.iter().filter(|gap| gap.is_none()).count() as f64;
+        around.iter().flatten().copied().sum::<f64>() / 2.0 / prior::SWAY_TIME + ends / 2.0
+    }
+
+    /// Where the frames stand on average. It is found anew between descents and stands in one.
+    pub fn stance_of(&self, state: &State) -> Stance {
+        let n = state.frames.len() as f64;
+        let (mut up, mut theta) = (DVec3::ZERO, [DVec3::ZERO; N_JOINTS]);
+        for (t, frame) in state.frames.iter().enumerate() {
+            up += frame.root.transpose() * DVec3::NEG_Y / n;
+            for p in &self.prior.joints {
+                let stood = [0, 1, 2].map(|axis| self.without_steps(t, frame, p.joint, axis).0);
+                theta[p.joint] += DVec3::from_array(stood) / n;
+            }
+        }
+        Stance { up, theta }
     }
 
     /// A joint's angle less what of it is a step's bend or twist: what a standing person has, and what goes on from frame to

@@ -43,6 +43,7 @@ impl FocalCheck {
             fps: capture.fps,
             frames: (0..kept).map(|i| thin(&capture.frames[i * all / kept])).collect(),
             keypoint_format: capture.keypoint_format.clone(),
+            given_keypoint_format: capture.given_keypoint_format.clone(),
             poses: None,
             warnings: Vec::new(),
         };

@@ -38,8 +38,9 @@ pub struct Landmark {
     pub partner: usize,
 }
 
-/// Parts whose place differs between detectors, rigs and heads: their offsets on the body are fitted too.
-pub const N_OFFSETS: usize = 7;
+/// Parts whose place differs between detectors, rigs and heads: their offsets on the body are fitted too. Those of limbs only
+/// where a detector's habits are known: of an unknown one they would be told from lengths by nothing.
+pub const N_OFFSETS: usize = 11;
 
 impl Part {
     pub fn group(self) -> Group {
@@ -70,7 +71,11 @@ impl Part {
             Part::Shoulder => Some(4),
             Part::MidHip => Some(5),
             Part::Hip => Some(6),
-            _ => None,
+            Part::Elbow => Some(7),
+            Part::Wrist => Some(8),
+            Part::Knee => Some(9),
+            Part::Ankle => Some(10),
+            Part::BigToe | Part::SmallToe | Part::Heel => None,
         }
     }
 }

@@ -15,6 +15,7 @@
 mod contour;
 mod expectation;
 mod focal;
+mod habits;
 mod known;
 mod landmarks;
 mod minimise;
@@ -236,7 +237,8 @@ impl Candidate {
         self.scales.rho = rho;
     }
 
-    /// Trusts detections less whose errors last. Before masks and pictures are looked at, which then tell the more; given poses
+    /// Trusts detections less whose errors last, and expects people to sway about a stance: most of all where the clip begins and
+    /// ends, such errors look like a lean. Before masks and pictures are looked at, which then tell the more; given poses
     /// are held to anyway.
     fn bear_lasting_noise(&mut self, clock: &mut Clock) -> Result<(), Stage0Error> {
         let lasting = noise::lasting(&self.problem, &self.state);
@@ -245,10 +247,14 @@ impl Candidate {
             return Ok(());
         }
         self.scales.sigma_px = lasting;
+        self.problem.stance = Some(self.problem.stance_of(&self.state));
         self.descend(1e-4, clock)
     }
 
     fn descend(&mut self, tolerance: f64, clock: &mut Clock) -> Result<(), Stage0Error> {
+        if self.problem.stance.is_some() {
+            self.problem.stance = Some(self.problem.stance_of(&self.state));
+        }
         let iterations = clock.iterations;
         let mut go_on = || clock.tick();
         let descent = minimise(&self.problem, self.state.clone(), &self.scales, iterations, tolerance, &mut go_on);

@@ -18,11 +18,23 @@ const MARGIN: f64 = 4.0;
 /// Rounds of descent that settling takes.
 pub const ROUNDS: usize = TOGETHER.len();
 
-/// The offsets' prior before.
-pub const WIDE: [f64; N_OFFSETS] = [prior::OFFSET_SIGMA; N_OFFSETS];
+/// The offsets' prior before, where a detector is not known: wide for head, hips and shoulders, which come first, and none for limbs.
+pub const UNKNOWN: [f64; N_OFFSETS] = {
+    let mut sigma = [prior::NO_OFFSET_SIGMA; N_OFFSETS];
+    let mut slot = 0;
+    while slot < 7 {
+        sigma[slot] = prior::OFFSET_SIGMA;
+        slot += 1;
+    }
+    sigma
+};
 
 /// Narrows the prior of the offsets that are not needed.
 pub fn settle(best: &mut Candidate, clock: &mut Clock<'_>) -> Result<(), Stage0Error> {
+    if best.problem.known_detector {
+        clock.round += ROUNDS;
+        return if clock.goes_on() { Ok(()) } else { Err(Stage0Error::Stopped) };
+    }
     for parts in TOGETHER {
         let (state, cost, sigma) = (best.state.clone(), best.cost, best.problem.offset_sigma);
         for slot in parts.iter().filter_map(|part| part.offset()) {

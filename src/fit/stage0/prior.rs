@@ -20,6 +20,21 @@ pub struct JointPrior {
 
 /// Softness of joint limits, radians.
 pub const LIMIT_SIGMA: f64 = 0.03;
+/// How far people sway about their stance, who turn slowly: standard deviation of the axis that moves most, radians (docs/lab/fit.md, "What
+/// the clip's ends take from stage 0").
+pub fn sway(joint: usize) -> f64 {
+    match joint {
+        // Hips, knees, ankles.
+        1 | 2 | 4 | 5 | 7 | 8 => 0.02,
+        12 | 15 => 0.04,
+        16 | 17 => 0.06,
+        18 | 19 => 0.07,
+        // Root, spine, collars.
+        _ => 0.013,
+    }
+}
+/// Units of time after which a sway is forgotten.
+pub const SWAY_TIME: f64 = 80.0;
 /// How the root's tilt and place drift over one unit of time: radians, parts of the distance.
 pub const TILT_DRIFT: f64 = 0.004;
 pub const PELVIS_DRIFT: f64 = 0.003;

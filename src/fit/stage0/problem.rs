@@ -9,6 +9,7 @@ use super::rig::{Point, PointJacobian, Posed, Rig};
 use super::state::{Frame, Layout, Shared, State};
 use super::steps::Steps;
 use super::tracks::{self, Tracks};
+use crate::body::N_JOINTS;
 
 /// A pinhole without distortion, the person in camera space.
 #[derive(Clone, Copy, Debug)]
@@ -99,6 +100,13 @@ impl Stature {
     }
 }
 
+/// The mean over a clip's frames.
+pub struct Stance {
+    /// The camera's up axis as the body's root sees it.
+    pub up: DVec3,
+    pub theta: [DVec3; N_JOINTS],
+}
+
 pub struct Problem {
     pub rig: Rig,
     pub layout: Layout,
@@ -111,6 +119,8 @@ pub struct Problem {
     /// What is expected of fitted keypoint offsets, and its spread, metres.
     pub offsets: [DVec3; N_OFFSETS],
     pub offset_sigma: [f64; N_OFFSETS],
+    /// The keypoints' detector has habits that are known: they are no rig's.
+    pub known_detector: bool,
     pub points: Vec<Point>,
     /// `[N][K]`
     pub observations: Vec<Vec<Observation>>,
@@ -122,6 +132,8 @@ pub struct Problem {
     /// Empty before pictures are looked at.
     pub tracks: Tracks,
     pub anchor: Option<Vec<Frame>>,
+    /// About which frames sway, where detections cannot be trusted to tell.
+    pub stance: Option<Stance>,
     pub steps: Steps,
 }
 

@@ -2,9 +2,9 @@
 
 use glam::{DMat3, DVec2, DVec3};
 
+use super::habits::Habits;
 use super::landmarks::N_OFFSETS;
 use super::landmarks::landmarks;
-use super::offsets;
 use super::placement::{self, Placement};
 use super::prior::{self, Prior};
 use super::problem::{Observation, Pinhole, Problem, Scales, Stature};
@@ -55,6 +55,7 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
     let camera = &capture.camera;
     let prior = Prior::standing();
     let rig = Rig::new(body);
+    let habits = Habits::of(&capture.given_keypoint_format);
     Ok(Problem {
         layout: Layout::new(&prior, rig.n_betas()),
         rig,
@@ -63,8 +64,9 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         stature: stature(body),
         focal_sigma: if capture.camera_estimated { GUESSED_FOCAL } else { KNOWN_FOCAL },
         landmarks,
-        offsets: [DVec3::ZERO; N_OFFSETS],
-        offset_sigma: offsets::WIDE,
+        offsets: habits.offsets,
+        offset_sigma: habits.sigma,
+        known_detector: habits.known,
         points,
         observations,
         gaps,
@@ -72,6 +74,7 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         contours: Vec::new(),
         tracks: Tracks::default(),
         anchor: None,
+        stance: None,
         steps: Steps::default(),
     })
 }
@@ -165,5 +168,6 @@ fn first_state(problem: &Problem, reading: &Placement) -> State {
             theta: problem.prior.mean_pose(),
         }
     };
-    State { frames: (0..n).map(frame).collect(), shared: mean_shape(problem.rig.n_betas()) }
+    let shared = Shared { offsets: problem.offsets, ..mean_shape(problem.rig.n_betas()) };
+    State { frames: (0..n).map(frame).collect(), shared }
 }

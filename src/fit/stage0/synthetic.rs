@@ -4,8 +4,8 @@ use glam::{DMat3, DVec2, DVec3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg32;
 
-use super::landmarks::N_OFFSETS;
-use super::landmarks::{GROUPS, Part, landmarks};
+use super::habits::Habits;
+use super::landmarks::{GROUPS, N_OFFSETS, Part, landmarks};
 use super::problem::Pinhole;
 use super::rig::{Point, Rig};
 use super::silhouette::{Grid, fill};
@@ -48,6 +48,8 @@ pub struct Difficulty {
     /// Hips and shoulders are found this much higher and farther in than the joints are, metres.
     pub bias: f64,
     pub format: &'static str,
+    /// The format they came in, where it is another one; its detector has its habits.
+    pub given: Option<&'static str>,
     /// With masks of the naked body.
     pub masks: bool,
     /// With masks: also with pictures, of a body with a pattern all over.
@@ -76,6 +78,7 @@ impl Default for Difficulty {
             pitch_degrees: 0.0,
             bias: 0.0,
             format: "coco17",
+            given: None,
             masks: false,
             painted: false,
             seed: 1,
@@ -160,11 +163,16 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
     let mut rng = Pcg32::seed_from_u64(how.seed);
     let poses = poses(how);
     let mut frames = Vec::new();
+    let habits = Habits::of(how.given.unwrap_or(how.format));
     for (t, pose) in poses.iter().enumerate() {
         let posed = rig.pose(pose, &shared);
-        let added = |k: usize| match marks[k].part {
-            Part::Hip | Part::Shoulder => DVec3::new(-marks[k].side, 1.0, 0.0) * how.bias,
-            _ => DVec3::ZERO,
+        let added = |k: usize| {
+            let bias = match marks[k].part {
+                Part::Hip | Part::Shoulder => DVec3::new(-marks[k].side, 1.0, 0.0) * how.bias,
+                _ => DVec3::ZERO,
+            };
+            let habit = marks[k].part.offset().map_or(DVec3::ZERO, |slot| habits.offsets[slot]);
+            bias + habit * DVec3::new(marks[k].side, 1.0, 1.0)
         };
         let places: Vec<DVec3> =
             points.iter().enumerate().map(|(k, p)| posed.place(p, &shared.betas, added(k))).collect();
@@ -226,6 +234,7 @@ pub fn clip(body: &Body, how: &Difficulty) -> Clip {
         fps: 30.0,
         frames,
         keypoint_format: how.format.to_owned(),
+        given_keypoint_format: how.given.unwrap_or(how.format).to_owned(),
         poses: None,
         warnings: Vec::new(),
     };

@@ -33,7 +33,8 @@ pub(super) struct UploadForm {
     masks: Vec<u8>,
     /// 2D keypoints in the video's pixels: `{"format": "coco17", "frames": [[[x, y, confidence] × 17] × N]}`, or a zip of
     /// OpenPose's JSON files, one for each frame. Confidence 0 = not seen; a frame where nobody was found is `[]`. Other formats:
-    /// `coco18` and `body25` (OpenPose), `mediapipe33`, `halpe26`, `wholebody133`.
+    /// `coco18` and `body25` (OpenPose), `mediapipe33`, `halpe26`, `wholebody133`. Send points in their own format: where MediaPipe
+    /// sees joints is known.
     #[schema(value_type = String, format = Binary)]
     keypoints: Vec<u8>,
     /// `{width, height, fx, fy, cx, cy}` in pixels, pixel centres at half integers, with optional distortion
