@@ -19,8 +19,8 @@ pub const STUDY: Study = Study {
     method: "One clip, one start (stage 0 from keypoints and masks). Each row changes one thing in `standard`; `paper` \
              changes all of it. All rows make the same number of passes over the frames but `paper`, which has its own. \
              Surfaces are compared after alignment, pictures in our scale (docs/metrics.md). \
-             By chance, such as any small change of the program brings, a row differs by up to half a decibel and a hundredth of a centimetre: docs/lab/studies.md \
-             has the means of three persons.",
+             By chance, such as any small change of the program brings, a row differs by up to half a decibel and a \
+             hundredth of a centimetre: docs/lab/studies.md has the means of three persons.",
     run: |context| run(context, &Settings::default()),
 };
 

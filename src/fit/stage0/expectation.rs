@@ -103,12 +103,12 @@ impl Problem {
             let turns = rotation::skew(up);
             for axis in [0, 2] {
                 let slopes = [0, 1, 2].map(|c| (c, turns.col(c)[axis]));
-                pull(&slopes, up[axis] - stance.up[axis], prior::sway(0) / share);
+                pull(&slopes, up[axis] - stance.up[axis], stance.sway[0] / share);
             }
             for p in self.prior.joints.iter().filter(|p| self.layout.joint_column(p.joint).is_some()) {
                 for axis in 0..3 {
                     let (stood, slopes, n) = self.without_steps(t, frame, p.joint, axis);
-                    pull(&slopes[..n], stood - stance.theta[p.joint][axis], prior::sway(p.joint) / share);
+                    pull(&slopes[..n], stood - stance.theta[p.joint][axis], stance.sway[p.joint] / share);
                 }
             }
         }
@@ -135,18 +135,24 @@ impl Problem {
         around.iter().flatten().copied().sum::<f64>() / 2.0 / prior::SWAY_TIME + ends / 2.0
     }
 
-    /// Where the frames stand on average. It is found anew between descents and stands in one.
+    /// Where the frames stand on average. It is found anew between descents and stands in one. Arms sway as far as they are seen to:
+    /// some people swing them.
     pub fn stance_of(&self, state: &State) -> Stance {
         let n = state.frames.len() as f64;
-        let (mut up, mut theta) = (DVec3::ZERO, [DVec3::ZERO; N_JOINTS]);
+        let (mut up, mut theta, mut squares) = (DVec3::ZERO, [DVec3::ZERO; N_JOINTS], [DVec3::ZERO; N_JOINTS]);
         for (t, frame) in state.frames.iter().enumerate() {
             up += frame.root.transpose() * DVec3::NEG_Y / n;
             for p in &self.prior.joints {
-                let stood = [0, 1, 2].map(|axis| self.without_steps(t, frame, p.joint, axis).0);
-                theta[p.joint] += DVec3::from_array(stood) / n;
+                let stood = DVec3::from_array([0, 1, 2].map(|axis| self.without_steps(t, frame, p.joint, axis).0));
+                theta[p.joint] += stood / n;
+                squares[p.joint] += stood * stood / n;
             }
         }
-        Stance { up, theta }
+        let sway = std::array::from_fn(|joint| {
+            let seen = (squares[joint] - theta[joint] * theta[joint]).max_element().max(0.0).sqrt();
+            if prior::ARMS.contains(&joint) { seen.max(prior::sway(joint)) } else { prior::sway(joint) }
+        });
+        Stance { up, theta, sway }
     }
 
     /// A joint's angle less what of it is a step's bend or twist: what a standing person has, and what goes on from frame to

@@ -27,12 +27,15 @@ pub fn sway(joint: usize) -> f64 {
         // Hips, knees, ankles.
         1 | 2 | 4 | 5 | 7 | 8 => 0.02,
         12 | 15 => 0.04,
+        // Shoulders, elbows.
         16 | 17 => 0.06,
         18 | 19 => 0.07,
         // Root, spine, collars.
         _ => 0.013,
     }
 }
+/// Shoulders and elbows.
+pub const ARMS: std::ops::RangeInclusive<usize> = 16..=19;
 /// Units of time after which a sway is forgotten.
 pub const SWAY_TIME: f64 = 80.0;
 /// How the root's tilt and place drift over one unit of time: radians, parts of the distance.

@@ -105,6 +105,8 @@ pub struct Stance {
     /// The camera's up axis as the body's root sees it.
     pub up: DVec3,
     pub theta: [DVec3; N_JOINTS],
+    /// How far each joint sways about it, radians.
+    pub sway: [f64; N_JOINTS],
 }
 
 pub struct Problem {

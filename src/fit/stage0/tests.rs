@@ -298,6 +298,26 @@ fn detections_whose_errors_last_are_trusted_less() {
     assert!(lasting.1.scaled < 0.0125 && lasting.1.facing_degrees < 2.7, "{lasting:?}");
 }
 
+/// People sway about a stance where detections tell little; arms that swing are no sway.
+#[test]
+fn arms_that_swing_before_a_detector_whose_errors_last() {
+    let body = Body::test_body();
+    let how = Difficulty {
+        noise_px: 0.5,
+        lasting_px: 4.0,
+        swing_degrees: 30.0,
+        masks: true,
+        painted: true,
+        seed: 32,
+        ..Difficulty::default()
+    };
+    let clip = clip(&body, &how);
+    let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
+    let errors = errors(&body, &clip, &result);
+    assert!(result.report.sigma_px > 5.0, "no lasting errors were found: {}", result.report.sigma_px);
+    assert!(errors.scaled < 0.02 && errors.facing_degrees < 3.0, "{errors:?}");
+}
+
 #[test]
 fn a_measured_height_sets_the_size() {
     let body = Body::test_body();
