@@ -1,5 +1,5 @@
-// Adds to the sums of grad_table what grad_encoded says. An invocation follows a run of listed pixels in one level. Neighbours mostly
-// share a cell, so it sums as long as the cell stays the same and adds to the table's sums when it changes.
+// Adds to the sums of grad_table what grad_encoded says. An invocation follows a run of listed pixels in one level.
+// Neighbours mostly share a cell, so it sums as long as the cell stays the same and adds to the table's sums when it changes.
 #import shared/hash_grid
 #import shared/exact_sum
 #const ENCODED4: u32 = 6u

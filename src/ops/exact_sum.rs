@@ -8,7 +8,7 @@
 //!
 //! | buffer | shape | role |
 //! |---|---|---|
-//! | `sums` | `[N, 2]` u32 | low and high words; zero between the passes that use it |
+//! | `sums` | `[N, 2]` u32 | low and high words; zero at first and after `settle` |
 //! | `values` | `[N]` | added to by `settle` |
 //!
 //! A number beyond ±4096 counts as ±4096, what lies below 2⁻⁵⁰ (9e-16) is cut off towards zero, and a sum must stay within

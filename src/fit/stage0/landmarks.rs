@@ -41,6 +41,8 @@ pub struct Landmark {
 /// Parts whose place differs between detectors, rigs and heads: their offsets on the body are fitted too. Those of limbs only
 /// where a detector's habits are known: of an unknown one they would be told from lengths by nothing.
 pub const N_OFFSETS: usize = 11;
+/// The first of them: head, shoulders and hips, which every detector may place elsewhere.
+pub const N_ALWAYS_FITTED: usize = 7;
 
 impl Part {
     pub fn group(self) -> Group {

@@ -6,7 +6,7 @@
 //! body) have no offset and tell those lengths. Both readings are descended to, and no offset is believed
 //! where that costs next to nothing.
 
-use super::landmarks::{N_OFFSETS, Part};
+use super::landmarks::Part;
 use super::{Candidate, Clock, Stage0Error, prior};
 
 /// Parts whose keypoints are read alike.
@@ -17,17 +17,6 @@ const MARGIN: f64 = 4.0;
 
 /// Rounds of descent that settling takes.
 pub const ROUNDS: usize = TOGETHER.len();
-
-/// The offsets' prior before, where a detector is not known: wide for head, hips and shoulders, which come first, and none for limbs.
-pub const UNKNOWN: [f64; N_OFFSETS] = {
-    let mut sigma = [prior::NO_OFFSET_SIGMA; N_OFFSETS];
-    let mut slot = 0;
-    while slot < 7 {
-        sigma[slot] = prior::OFFSET_SIGMA;
-        slot += 1;
-    }
-    sigma
-};
 
 /// Narrows the prior of the offsets that are not needed.
 pub fn settle(best: &mut Candidate, clock: &mut Clock<'_>) -> Result<(), Stage0Error> {
