@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::{Case, Counts, Times};
-use crate::gpu::{Buffer, Gpu, Kernel, linear_groups};
+use super::{Case, Counts, Times, interleaved};
+use crate::gpu::{Buffer, Gpu, GpuError, Kernel, linear_groups};
 
 /// Floats that the copy moves: beyond any cache, within what WebGPU binds.
 const COPIED: usize = 16 << 20;
@@ -34,6 +34,13 @@ impl Peaks {
     /// No device of these limits does the work in less.
     pub fn floor_ms(&self, needs: Counts) -> f64 {
         (1e-6 * needs.bytes / self.copy_gb_per_s).max(1e-6 * needs.flops / self.fma_gflop_per_s)
+    }
+}
+
+impl std::fmt::Display for Peaks {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { copy_gb_per_s: copied, fma_gflop_per_s: fma, launch_ms } = self;
+        write!(f, "{copied:.2} GB/s copied, {fma:.1} GFLOP/s of FMA, {launch_ms:.3} ms a launch")
     }
 }
 
@@ -73,8 +80,14 @@ impl Ceilings {
         vec![copy(1), copy(COPIED / 4), fma]
     }
 
+    /// Measures them.
+    pub fn measure(gpu: &Gpu, repeats: u32) -> Result<Peaks, GpuError> {
+        let ceilings = Self::new(gpu);
+        Ok(ceilings.peaks(gpu, &interleaved(gpu, &ceilings.cases(), repeats)?))
+    }
+
     /// From the times of [`Ceilings::cases`].
-    pub fn peaks(&self, gpu: &Gpu, times: &[Times]) -> Peaks {
+    fn peaks(&self, gpu: &Gpu, times: &[Times]) -> Peaks {
         let cases = self.cases();
         Peaks {
             launch_ms: times[0].best_ms,

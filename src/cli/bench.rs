@@ -76,8 +76,7 @@ struct Report<'a> {
 pub fn run(args: Args) -> Result<()> {
     let body = load_body(&args)?;
     let gpu = Gpu::open(&DeviceSelect::Auto)?;
-    let ceilings = Ceilings::new(&gpu);
-    let peaks = ceilings.peaks(&gpu, &interleaved(&gpu, &ceilings.cases(), args.repeats)?);
+    let peaks = Ceilings::measure(&gpu, args.repeats)?;
     let mut report = Report {
         device: gpu.info(),
         body: body.name.clone(),
@@ -151,10 +150,7 @@ fn load_body(args: &Args) -> Result<Body> {
 fn print_head(report: &Report<'_>) {
     let Report { device, body, vertices, faces, repeats, ceilings, .. } = report;
     println!("{} ({}, {})", device.name, device.backend, device.driver);
-    println!(
-        "ceilings: {:.2} GB/s copied, {:.1} GFLOP/s of FMA, {:.3} ms a launch",
-        ceilings.copy_gb_per_s, ceilings.fma_gflop_per_s, ceilings.launch_ms
-    );
+    println!("ceilings: {ceilings}");
     println!("body {body}: {vertices} vertices, {faces} faces; {repeats} rounds; ratio = alone / floor");
 }
 

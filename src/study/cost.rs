@@ -11,6 +11,7 @@ use image::RgbImage;
 use super::painter::sheet;
 use super::{Context, Report, Study, Table, Verdict};
 use crate::avatar::{AvatarModel, Background, Place, Pose, RenderSpec, Renderer};
+use crate::bench::Ceilings;
 use crate::camera::Camera;
 use crate::eval::{Novel, NovelPose, Subject, SynthOptions};
 
@@ -56,6 +57,9 @@ impl Default for Settings {
 
 /// Pictures that are timed, after one that is not.
 const PICTURES: u32 = 4;
+
+/// Rounds in which the device's ceilings are measured.
+const CEILING_ROUNDS: u32 = 7;
 
 /// Side of a picture of the figure.
 const FIGURE_PX: u32 = 270;
@@ -146,6 +150,7 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
         let memory = (name == PAPER[THEIRS].0).then_some(5.0);
         cost.row_with_gaps(name, vec![Some(train), None, Some(picture), None, memory, None, Some(gb_hours)]);
     }
+    let ceilings = Ceilings::measure(&context.gpu, CEILING_ROUNDS)?;
     let (spread, pairs) = spread(settings, &fits, &again);
     let mut verdicts = cost_verdicts(&fits, &picture_secs);
     verdicts.extend(spread_verdicts(&pairs));
@@ -158,7 +163,8 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
         )],
         verdicts,
         notes: vec![format!(
-            "A made clip of {} frames of {}²; time grows with the frames and with their pixels.",
+            "A made clip of {} frames of {}²; time grows with the frames and with their pixels. Times are wall times; when they \
+             were taken the device gave {ceilings} (`effigy bench`).",
             settings.frames, settings.size_px
         )],
     })

@@ -13,7 +13,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("avatar", &["ops", "body", "gpu"]),
     ("bench", &["fit", "avatar", "ops", "body", "gpu", "capture"]),
     ("eval", &["fit", "avatar", "ops", "page", "body", "gpu", "capture"]),
-    ("study", &["fit", "avatar", "eval", "ops", "body", "gpu", "capture"]),
+    ("study", &["fit", "avatar", "eval", "bench", "ops", "body", "gpu", "capture"]),
     ("robustness", &["eval", "avatar", "page", "gpu"]),
     ("ops", &["gpu", "body"]),
     ("jobs", &[]),
