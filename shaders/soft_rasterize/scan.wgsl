@@ -2,7 +2,9 @@
 // faces take, one each, and the tiles at 64 each. Leaves `counts` zero for the next image.
 #import shared/soft_face
 
-const LANES: u32 = 256u;
+#const LANES: u32 = 256u
+// Lanes whose sums are summed up first.
+const BLOCK: u32 = 32u;
 // Workgroups along x at most; see `linear_groups` of the host.
 const ROW: u32 = 32768u;
 
@@ -14,7 +16,8 @@ const ROW: u32 = 32768u;
 @group(0) @binding(5) var<storage, read_write> drawn: array<u32>;
 @group(0) @binding(6) var<storage, read_write> workgroups: array<u32>; // of the busy tiles, of the drawn faces, of 64 tiles each
 
-var<workgroup> sums: array<vec2<u32>, 256>;
+var<workgroup> sums: array<vec2<u32>, LANES>;
+var<workgroup> of_blocks: array<vec2<u32>, LANES / BLOCK>;
 
 fn write_workgroups(at: u32, n: u32) {
     workgroups[at] = min(n, ROW);
@@ -22,7 +25,7 @@ fn write_workgroups(at: u32, n: u32) {
     workgroups[at + 2u] = 1u;
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(LANES)
 fn main(@builtin(local_invocation_index) lane: u32) {
     let chunk = (params.n_tiles + LANES - 1u) / LANES;
     let first = min(lane * chunk, params.n_tiles);
@@ -35,8 +38,19 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     }
     sums[lane] = sum;
     workgroupBarrier();
+    if lane < LANES / BLOCK {
+        var of_block = vec2<u32>(0u);
+        for (var i = 0u; i < BLOCK; i++) {
+            of_block += sums[lane * BLOCK + i];
+        }
+        of_blocks[lane] = of_block;
+    }
+    workgroupBarrier();
     var at = vec2<u32>(0u);
-    for (var i = 0u; i < lane; i++) {
+    for (var block = 0u; block < lane / BLOCK; block++) {
+        at += of_blocks[block];
+    }
+    for (var i = lane / BLOCK * BLOCK; i < lane; i++) {
         at += sums[i];
     }
     for (var i = first; i < end; i++) {

@@ -5,6 +5,7 @@
 #const TILE_I: u32 = 2u
 #const TILE_O: u32 = 2u
 #const CHUNK: u32 = 256u
+#const LANES: u32 = 8u
 
 // The host chooses tiles that divide the layer.
 const TILES_O: u32 = OUTPUTS4 / TILE_O;
@@ -22,7 +23,7 @@ struct Params {
 @group(0) @binding(3) var<storage, read> deltas: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> partial: array<vec4<f32>>;
 
-@compute @workgroup_size(8)
+@compute @workgroup_size(LANES)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let first = id.y * CHUNK;
     let end = min(first + CHUNK, min(params.n_max, count[0]));

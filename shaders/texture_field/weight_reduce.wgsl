@@ -1,5 +1,10 @@
-// Adds the chunks' partial sums to grad_weights, in the chunks' order.
+// Adds the chunks' partial sums to grad_weights, always in the same order: SHARERS invocations take every SHARERS-th chunk of
+// the same four weights.
 #const CHUNK: u32 = 256u
+#const SHARERS: u32 = 1u
+
+const LANES: u32 = 64u;
+const PER_GROUP: u32 = LANES / SHARERS;
 
 struct Params {
     n_max: u32,
@@ -11,15 +16,26 @@ struct Params {
 @group(0) @binding(2) var<storage, read> partial: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read_write> grad_weights: array<vec4<f32>>;
 
-@compute @workgroup_size(64)
-fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= params.weights4 {
+var<workgroup> sums: array<vec4<f32>, LANES>;
+
+@compute @workgroup_size(LANES)
+fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3<u32>) {
+    let at = group.x * PER_GROUP + lane % PER_GROUP;
+    let chunks = (min(params.n_max, count[0]) + CHUNK - 1u) / CHUNK;
+    var sum = vec4<f32>(0.0);
+    if at < params.weights4 {
+        for (var k = lane / PER_GROUP; k < chunks; k += SHARERS) {
+            sum += partial[k * params.weights4 + at];
+        }
+    }
+    sums[lane] = sum;
+    workgroupBarrier();
+    if lane >= PER_GROUP || at >= params.weights4 {
         return;
     }
-    let chunks = (min(params.n_max, count[0]) + CHUNK - 1u) / CHUNK;
-    var sum = grad_weights[id.x];
-    for (var k = 0u; k < chunks; k++) {
-        sum += partial[k * params.weights4 + id.x];
+    var total = grad_weights[at];
+    for (var k = 0u; k < SHARERS; k++) {
+        total += sums[k * PER_GROUP + lane];
     }
-    grad_weights[id.x] = sum;
+    grad_weights[at] = total;
 }

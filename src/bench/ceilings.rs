@@ -5,9 +5,10 @@ use std::sync::Arc;
 use super::{Case, Counts, Times, interleaved};
 use crate::gpu::{Buffer, Gpu, GpuError, Kernel, linear_groups};
 
-/// Floats that the copy moves: beyond any cache, within what WebGPU binds.
-const COPIED: usize = 16 << 20;
-const LANES: usize = 1 << 17;
+/// Floats that the copy moves, beyond any cache; on a device with memory of its own, whose caches hold more.
+const COPIED: [usize; 2] = [16 << 20, 64 << 20];
+/// Invocations of the multiply-adds; enough for any device with many cores.
+const LANES: [usize; 2] = [1 << 17, 1 << 20];
 const ROUNDS: usize = 64;
 const CHAINS: usize = 4;
 
@@ -17,6 +18,8 @@ pub struct Ceilings {
     from: Buffer<f32>,
     to: Buffer<f32>,
     sums: Buffer<f32>,
+    copied: usize,
+    lanes: usize,
 }
 
 /// The device's limits, from the times of [`Ceilings::cases`] alone on the device ([`Times::alone_ms`]).
@@ -47,12 +50,18 @@ impl std::fmt::Display for Peaks {
 impl Ceilings {
     pub fn new(gpu: &Gpu) -> Self {
         let constants = [("ROUNDS", format!("{ROUNDS}u")), ("CHAINS", format!("{CHAINS}u"))];
+        let hardware = usize::from(!gpu.info().software);
+        // No more than it binds at once.
+        let copied = COPIED[hardware].min(gpu.info().max_binding_bytes as usize / size_of::<f32>());
+        let lanes = LANES[hardware];
         Self {
             copy: gpu.kernel("bench/copy", include_str!("../../shaders/bench/copy.wgsl"), &[]),
             fma: gpu.kernel("bench/fma", include_str!("../../shaders/bench/fma.wgsl"), &constants),
-            from: gpu.zeros("bench/from", COPIED),
-            to: gpu.zeros("bench/to", COPIED),
-            sums: gpu.zeros("bench/sums", LANES),
+            from: gpu.zeros("bench/from", copied),
+            to: gpu.zeros("bench/to", copied),
+            sums: gpu.zeros("bench/sums", lanes),
+            copied,
+            lanes,
         }
     }
 
@@ -68,16 +77,17 @@ impl Ceilings {
                 }),
             }
         };
+        let lanes = self.lanes;
         let fma = Case {
             name: "device/fma",
             // A vector of four in each chain, eight steps in each round.
-            needs: Counts { bytes: 4.0 * LANES as f64, flops: 2.0 * (4 * CHAINS * 8 * ROUNDS * LANES) as f64 },
-            record: Box::new(|recorder| {
-                let groups = [(LANES / 64) as u32, 1, 1];
+            needs: Counts { bytes: 4.0 * lanes as f64, flops: 2.0 * (4 * CHAINS * 8 * ROUNDS * lanes) as f64 },
+            record: Box::new(move |recorder| {
+                let groups = [(lanes / 64) as u32, 1, 1];
                 recorder.dispatch(&self.fma, &[0.5f32, 0.0, 0.0, 0.0], &[&self.sums], groups);
             }),
         };
-        vec![copy(1), copy(COPIED / 4), fma]
+        vec![copy(1), copy(self.copied / 4), fma]
     }
 
     /// Measures them.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use super::person::Person;
 use super::timing::{Times, profiled, timed};
@@ -15,6 +16,9 @@ use crate::ops::{Corners, Topology};
 
 /// How far the seen person stands beside the body that a step starts with, metres.
 const ASIDE_M: f32 = 0.01;
+/// How long a device is warmed up that is none of the host's own.
+const WARM_UP: Duration = Duration::from_millis(500);
+const STEPS_IN_A_ROW: u32 = 16;
 
 /// A step of a stage.
 #[derive(Clone, Debug, serde::Serialize)]
@@ -22,10 +26,37 @@ pub struct StepTimes {
     pub stage: u32,
     pub frames: usize,
     pub times: Times,
-    /// Kernels, each dispatch submitted and awaited alone: sums over a step.
+    pub row: Row,
+    /// Kernels, each dispatch timed alone: sums over a step.
     pub kernels: BTreeMap<String, KernelTime>,
     /// Of all device buffers, so far in this process.
     pub peak_device_bytes: u64,
+}
+
+/// Steps in a row of which only the last is awaited, as a fit takes them: the device works while the host records. Medians a step.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Row {
+    pub ms: f64,
+    /// What the host took to record and submit.
+    pub host_ms: f64,
+}
+
+impl Row {
+    fn measure(gpu: &Gpu, repeats: u32, step: &mut dyn FnMut() -> Result<(), FitError>) -> Result<Self, FitError> {
+        let [mut rows, mut host] = [Vec::new(), Vec::new()];
+        for _ in 0..repeats.div_ceil(2) {
+            let begun = Instant::now();
+            (0..STEPS_IN_A_ROW).try_for_each(|_| step())?;
+            host.push(begun.elapsed().as_secs_f64());
+            gpu.wait()?;
+            rows.push(begun.elapsed().as_secs_f64());
+        }
+        let median = |mut secs: Vec<f64>| {
+            secs.sort_by(f64::total_cmp);
+            1e3 * secs[secs.len() / 2] / f64::from(STEPS_IN_A_ROW)
+        };
+        Ok(Self { ms: median(rows), host_ms: median(host) })
+    }
 }
 
 impl StepTimes {
@@ -85,15 +116,26 @@ impl StepBench {
     /// Times of one step on all frames: `repeats` steps after one that compiles, then a few that are profiled.
     pub fn run(&self, stage: Stage, repeats: u32) -> Result<StepTimes, FitError> {
         let gpu = &self.gpu;
-        let (pairs, kernels) = self.with(stage, |step| {
-            step()?;
-            let pairs = (0..repeats).map(|_| timed(&mut *step)).collect::<Result<Vec<_>, _>>()?;
-            Ok((pairs, profiled(gpu, repeats.div_ceil(4), step)?))
+        let (times, row, kernels) = self.with(stage, |step| {
+            // The first compiles; a device that has idled takes a while to run at its full speed.
+            let begun = Instant::now();
+            loop {
+                step()?;
+                gpu.wait()?;
+                if gpu.info().software || begun.elapsed() > WARM_UP {
+                    break;
+                }
+            }
+            let mut awaited = || step().and_then(|()| Ok(gpu.wait()?));
+            let pairs = (0..repeats).map(|_| timed(&mut awaited)).collect::<Result<Vec<_>, _>>()?;
+            let row = Row::measure(gpu, repeats, &mut *step)?;
+            Ok((Times::of(&pairs), row, profiled(gpu, repeats.div_ceil(4), step)?))
         })?;
         Ok(StepTimes {
             stage: if stage == Stage::Geometry { 1 } else { 2 },
             frames: self.capture.frames.len(),
-            times: Times::of(&pairs),
+            times,
+            row,
             kernels,
             peak_device_bytes: gpu.peak_bytes(),
         })

@@ -15,6 +15,8 @@ pub struct Times {
     /// The shortest CPU time, all threads together. A device that computes on the CPU takes about this over the number of
     /// cores when it has the machine for itself; on others it is the host's share.
     pub cpu_ms: f64,
+    /// The median by the device's clock, where it has one: without the way to the device and back.
+    pub device_ms: Option<f64>,
 }
 
 impl Times {
@@ -26,13 +28,14 @@ impl Times {
         let [mut wall, mut cpu]: [Vec<f64>; 2] = std::array::from_fn(|k| pairs.iter().map(|pair| pair[k]).collect());
         wall.sort_by(f64::total_cmp);
         cpu.sort_by(f64::total_cmp);
-        Self { best_ms: wall[0], median_ms: wall[wall.len() / 2], cpu_ms: cpu[0] }
+        Self { best_ms: wall[0], median_ms: wall[wall.len() / 2], cpu_ms: cpu[0], device_ms: None }
     }
 
-    /// What the work takes when it has the device for itself, as far as it uses all of it: the best wall time, or, on a
-    /// device that computes on the CPU, the CPU time over the number of cores, which others on the machine hardly disturb.
+    /// What the work takes when it has the device for itself, as far as it uses all of it: by the device's clock, else the
+    /// best wall time, or, on a device that computes on the CPU, the CPU time over the number of cores, which others on the
+    /// machine hardly disturb.
     pub fn alone_ms(&self, gpu: &Gpu) -> f64 {
-        if gpu.info().software { self.cpu_ms / cores() } else { self.best_ms }
+        if gpu.info().software { self.cpu_ms / cores() } else { self.device_ms.unwrap_or(self.best_ms) }
     }
 }
 
@@ -48,7 +51,7 @@ pub fn timed<E>(work: impl FnOnce() -> Result<(), E>) -> Result<[f64; 2], E> {
     Ok([1e3 * start.elapsed().as_secs_f64(), 1e3 * (cpu_secs() - cpu_start)])
 }
 
-/// The kernels of some work, each dispatch submitted and awaited alone: sums over one call, as the mean of `repeats`.
+/// The kernels of some work, each dispatch timed alone: sums over one call, as the mean of `repeats`.
 pub(super) fn profiled<E>(
     gpu: &Gpu,
     repeats: u32,
@@ -72,21 +75,29 @@ pub(super) fn profiled<E>(
 /// all cases in turn, so that a disturbance hits all alike.
 pub fn interleaved(gpu: &Gpu, cases: &[Case<'_>], repeats: u32) -> Result<Vec<Times>, GpuError> {
     let once = |case: &Case<'_>| {
-        timed(|| {
+        let mut device_secs = None;
+        let pair = timed(|| {
             let mut recorder = gpu.recorder(case.name);
             (case.record)(&mut recorder);
-            recorder.submit()?;
-            gpu.wait()
-        })
+            device_secs = recorder.submit_timed()?;
+            Ok::<_, GpuError>(())
+        })?;
+        Ok::<_, GpuError>((pair, device_secs))
     };
     for case in cases {
         once(case)?;
     }
-    let mut pairs = vec![Vec::new(); cases.len()];
+    let mut all = vec![(Vec::new(), Vec::new()); cases.len()];
     for _ in 0..repeats {
-        for (case, pairs) in cases.iter().zip(&mut pairs) {
-            pairs.push(once(case)?);
+        for (case, (pairs, device)) in cases.iter().zip(&mut all) {
+            let (pair, device_secs) = once(case)?;
+            pairs.push(pair);
+            device.extend(device_secs.map(|secs| 1e3 * secs));
         }
     }
-    Ok(pairs.iter().map(|pairs| Times::of(pairs)).collect())
+    let times = all.into_iter().map(|(pairs, mut device)| {
+        device.sort_by(f64::total_cmp);
+        Times { device_ms: device.get(device.len() / 2).copied(), ..Times::of(&pairs) }
+    });
+    Ok(times.collect())
 }

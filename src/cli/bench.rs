@@ -172,20 +172,22 @@ fn print_scene(scene: &Scene) {
 
 /// Where a step's time goes. The parts were run one by one: their sum is more than the step by what a launch costs.
 fn print_step(gpu: &Gpu, step: &StepTimes, by_kernel: bool) {
-    let StepTimes { stage, frames, times, kernels, peak_device_bytes } = step;
+    let StepTimes { stage, frames, times, row, kernels, peak_device_bytes } = step;
     println!(
-        "\nstage {stage}, a step of {frames} × {}: alone {:.1} ms, best {:.1}, median {:.1}; {:.0} MB of device memory",
+        "\nstage {stage}, a step of {frames} × {}: alone {:.2} ms, best {:.2}, median {:.2}; in a row {:.2}, the host's part {:.2}; {:.0} MB of device memory",
         if *frames == 1 { "frame" } else { "frames" },
         times.alone_ms(gpu),
         times.best_ms,
         times.median_ms,
+        row.ms,
+        row.host_ms,
         1e-6 * *peak_device_bytes as f64
     );
     print_kernels(gpu, kernels, by_kernel);
 }
 
 fn print_picture(gpu: &Gpu, picture: &PictureTimes, by_kernel: bool) {
-    let PictureTimes { times: Times { best_ms, median_ms, cpu_ms }, kernels } = picture;
+    let PictureTimes { times: Times { best_ms, median_ms, cpu_ms, .. }, kernels } = picture;
     println!("\na picture, 3×3 samples a pixel: best {best_ms:.1} ms, median {median_ms:.1}; {cpu_ms:.1} of CPU time");
     print_kernels(gpu, kernels, by_kernel);
 }

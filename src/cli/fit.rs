@@ -59,6 +59,9 @@ pub struct Args {
 }
 
 pub fn run(args: Args) -> anyhow::Result<()> {
+    if let Ok(filter) = tracing_subscriber::EnvFilter::try_from_env("EFFIGY_LOG") {
+        tracing_subscriber::fmt().with_writer(std::io::stderr).with_env_filter(filter).init();
+    }
     let input = input_of(&args)?;
     let work = args.out.join("work");
     let gpu = Gpu::open(&DeviceSelect::Auto)?;

@@ -63,7 +63,8 @@ fn hint(nearest: &Option<&'static str>) -> String {
 /// Variables of this prefix are ours.
 const PREFIX: &str = "EFFIGY_";
 /// Variables of ours that are no settings: they are for the command line and for measuring.
-const OTHER_VARIABLES: [&str; 6] = ["CONFIG", "DEVICE", "GPU_CHECKED", "GPU_PROFILE", "NO_WIDE_ATOMICS", "GOLDEN_DIR"];
+const OTHER_VARIABLES: [&str; 7] =
+    ["CONFIG", "DEVICE", "GPU_CHECKED", "GPU_PROFILE", "NO_WIDE_ATOMICS", "WIDE_KERNELS", "GOLDEN_DIR"];
 
 impl Sources {
     /// Takes the settings among the process's variables; the others of our prefix come back with the nearest setting,

@@ -33,6 +33,7 @@ fn state_of(model: &Arc<AvatarModel>, spec: &RenderSpec, transl: [f32; 3]) -> Fi
         betas: model.betas.clone(),
         offsets: model.offsets.as_flattened().to_vec(),
         poses: spec.pose.to_vec(),
+        stage_poses: spec.pose.to_vec(),
         transl: transl.to_vec(),
         face_colours: model.face_colours.as_flattened().to_vec(),
         light: model.light,

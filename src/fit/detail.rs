@@ -157,6 +157,7 @@ impl Detail {
             stage: Stage::Texture,
             step: 0,
             poses: of(&fitted.poses, N_POSE),
+            stage_poses: of(&fitted.stage_poses, N_POSE),
             transl: of(&fitted.transl, 3),
             field: fitted.field.refined(&before.field, &self.config.field, self.config.seed),
             ..fitted.clone()
@@ -165,8 +166,8 @@ impl Detail {
 
     /// `fitted` with the look of `detailed`.
     pub fn end(fitted: FitState, detailed: FitState) -> FitState {
-        let FitState { poses, transl, .. } = fitted;
-        FitState { poses, transl, ..detailed }
+        let FitState { poses, stage_poses, transl, .. } = fitted;
+        FitState { poses, stage_poses, transl, ..detailed }
     }
 }
 

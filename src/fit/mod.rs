@@ -102,8 +102,8 @@ pub fn run(
     Ok(state)
 }
 
-/// Hands `with` a call that records, submits and awaits one step of `state.stage` on `frames` in `phase`, as [`run`] takes
-/// them but for the learning rates, which are zero: every step finds the same scene. For measurements.
+/// Hands `with` a call that records and submits one step of `state.stage` on `frames` in `phase`, as [`run`] takes them but for
+/// the learning rates, which are zero: every step finds the same scene. Does not wait. For measurements.
 #[expect(clippy::too_many_arguments, reason = "a fit reads a body, a clip, its settings and its controls")]
 pub fn with_step<R>(
     gpu: &Arc<Gpu>,
@@ -126,8 +126,7 @@ pub fn with_step<R>(
     let mut number = 0;
     with(&mut || {
         number += 1;
-        work.step(&Step { phase, frames, trust: &trust, rate: 0.0, number })?;
-        Ok(gpu.wait()?)
+        work.step(&Step { phase, frames, trust: &trust, rate: 0.0, number })
     })
 }
 
@@ -138,6 +137,9 @@ fn run_stage(
     outside: &mut Outside<'_>,
 ) -> Result<(), FitError> {
     let config = inputs.config;
+    if state.step == 0 {
+        state.stage_poses.clone_from(&state.poses);
+    }
     let stage = if state.stage == Stage::Geometry { &config.geometry } else { &config.texture };
     let mut work = StageWork::new(scene, inputs, state)?;
     schedule::run(scene, config, &stage.phases, &mut work, state, outside)?;

@@ -41,6 +41,7 @@ pub fn refine_pose(
 ) -> Result<FitState, FitError> {
     assert_eq!(state.n_frames(), 1, "frames");
     state.stage = Stage::Texture;
+    state.stage_poses.clone_from(&state.poses);
     let config = &frozen(config);
     let capture = Capture {
         camera: camera.clone(),

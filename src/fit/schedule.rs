@@ -2,6 +2,7 @@
 //! reports in between. What a step does is the stage's own ([`super::stage`]).
 
 use std::path::Path;
+use std::time::Instant;
 
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
@@ -67,7 +68,9 @@ pub(super) fn run(
             number += passes * each;
             continue;
         }
+        let begun = Instant::now();
         work.start_phase(phase)?;
+        let started_secs = begun.elapsed().as_secs_f64();
         for epoch in 0..passes {
             let mut rng = epoch_rng(config.seed, state.stage, nth, epoch);
             let (order, trust) = match config.frame_sampling {
@@ -92,6 +95,8 @@ pub(super) fn run(
             }
             work.losses().end_pass(scene)?;
         }
+        let secs = begun.elapsed().as_secs_f64();
+        tracing::debug!(stage = ?state.stage, phase = nth, steps = passes * each, started_secs, secs, "a phase has ended");
     }
     work.read_into(state)
 }

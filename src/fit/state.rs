@@ -8,7 +8,7 @@ use crate::ops::light::Light;
 use crate::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
 
 /// The version of the checkpoint format.
-const VERSION: f64 = 2.0;
+const VERSION: f64 = 3.0;
 
 /// How far a fit has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -51,6 +51,8 @@ pub struct FitState {
     pub offsets: Vec<f32>,
     /// `[N, 72]`
     pub poses: Vec<f32>,
+    /// `[N, 72]`: the poses that the stage began with, which its joints are held near.
+    pub stage_poses: Vec<f32>,
     /// `[N, 3]`
     pub transl: Vec<f32>,
     /// `[F, 3]`, 0…1
@@ -81,6 +83,7 @@ impl FitState {
             betas,
             offsets: vec![0.0; body.n_vertices() * 3],
             poses: poses.concat(),
+            stage_poses: poses.concat(),
             transl: transl.concat(),
             face_colours: vec![0.5; body.n_faces() * 3],
             light: Light::EVEN,
@@ -129,6 +132,7 @@ impl FitState {
             ("betas", &self.betas),
             ("offsets", &self.offsets),
             ("poses", &self.poses),
+            ("stage_poses", &self.stage_poses),
             ("transl", &self.transl),
             ("face_colours", &self.face_colours),
             ("texcoords", &self.texcoords),
@@ -171,6 +175,7 @@ impl FitState {
         take("betas", &mut state.betas)?;
         take("offsets", &mut state.offsets)?;
         take("poses", &mut state.poses)?;
+        take("stage_poses", &mut state.stage_poses)?;
         take("transl", &mut state.transl)?;
         take("face_colours", &mut state.face_colours)?;
         take("texcoords", &mut state.texcoords)?;

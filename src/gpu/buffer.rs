@@ -78,6 +78,17 @@ impl Gpu {
         self.track(label, raw, len)
     }
 
+    /// A buffer for `len` answers to queries.
+    pub(super) fn query_results(&self, label: &str, len: usize) -> Buffer<u64> {
+        let raw = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: (len * size_of::<u64>()) as u64,
+            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        self.track(label, raw, len)
+    }
+
     fn track<T>(&self, label: &str, raw: wgpu::Buffer, len: usize) -> Buffer<T> {
         if strikes(Point::Memory) {
             self.run_out_of_memory(label);

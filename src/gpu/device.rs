@@ -42,7 +42,13 @@ pub struct DeviceInfo {
     pub wide_atomics: bool,
     /// Whether one can be added to.
     pub wide_sums: bool,
+    /// Whether kernels are divided among many slow cores, as a graphics processor has them, rather than among few fast ones.
+    pub wide: bool,
+    /// Whether profiles go by the device's own clock: a driver that computes on the CPU has none of its own.
+    pub clock: bool,
     pub max_binding_bytes: u64,
+    /// Invocations of a workgroup, at most.
+    pub max_workgroup: u32,
 }
 
 /// An open device with its queue and its compiled kernels.
@@ -129,8 +135,15 @@ impl Gpu {
         if wide_sums {
             features |= wgpu::Features::SHADER_INT64_ATOMIC_ALL_OPS;
         }
+        let software = info.device_type == wgpu::DeviceType::Cpu;
+        let stamps = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
+        let clock = !software && adapter.features().contains(stamps);
+        if clock {
+            features |= stamps;
+        }
         let limits = adapter.limits();
         let max_binding_bytes = limits.max_storage_buffer_binding_size;
+        let max_workgroup = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
         let (device, queue) = adapter
             .request_device(&wgpu::DeviceDescriptor {
                 label: Some("effigy"),
@@ -158,10 +171,14 @@ impl Gpu {
                 name: info.name.clone(),
                 backend: info.backend.to_string(),
                 driver: format!("{} {}", info.driver, info.driver_info),
-                software: info.device_type == wgpu::DeviceType::Cpu,
+                software,
                 wide_atomics,
                 wide_sums,
+                // `EFFIGY_WIDE_KERNELS` tests on a driver that computes on the CPU what others run.
+                wide: !software || std::env::var_os("EFFIGY_WIDE_KERNELS").is_some(),
+                clock,
                 max_binding_bytes,
+                max_workgroup,
             },
             device,
             queue,

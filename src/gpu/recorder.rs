@@ -11,6 +11,7 @@ use super::buffer::Buffer;
 use super::device::{Gpu, GpuError};
 use super::kernel::Kernel;
 use super::rehearsal::{Point, strikes};
+use super::timing::Stamps;
 
 /// A buffer of any element type, for binding lists.
 pub trait AnyBuffer {
@@ -55,6 +56,17 @@ enum Command {
         to: (wgpu::Buffer, u64),
         bytes: u64,
     },
+}
+
+impl Command {
+    /// What profiles call it.
+    fn label(&self) -> &str {
+        match self {
+            Command::Dispatch { kernel, .. } => &kernel.label,
+            Command::Clear { .. } => "gpu/clear",
+            Command::Copy { .. } => "gpu/copy",
+        }
+    }
 }
 
 /// Work in the order in which it was recorded; nothing runs before [`Recorder::submit`].
@@ -148,22 +160,67 @@ impl<'g> Recorder<'g> {
             self.gpu.lose();
         }
         let groups = self.bind_groups();
-        if self.gpu.profiling() {
+        if self.gpu.profiling() && self.gpu.info().clock {
+            for (commands, groups) in self.commands.chunks(Stamps::MOST).zip(groups.chunks(Stamps::MOST)) {
+                self.submit_stamped(commands, groups)?;
+            }
+        } else if self.gpu.profiling() {
             for (command, group) in self.commands.iter().zip(&groups) {
-                let label = match command {
-                    Command::Dispatch { kernel, .. } => kernel.label.as_str(),
-                    Command::Clear { .. } => "gpu/clear",
-                    Command::Copy { .. } => "gpu/copy",
-                };
-                self.gpu.timings.measure(label, || {
-                    self.encode(std::slice::from_ref(command), std::slice::from_ref(group));
+                self.gpu.timings.measure(command.label(), || {
+                    self.submit_commands(std::slice::from_ref(command), std::slice::from_ref(group));
                     self.gpu.wait()
                 })?;
             }
         } else {
-            self.encode(&self.commands, &groups);
+            self.submit_commands(&self.commands, &groups);
         }
         self.gpu.check()
+    }
+
+    fn submit_commands(&self, commands: &[Command], groups: &[Option<wgpu::BindGroup>]) {
+        let mut encoder = self.encoder();
+        self.encode(&mut encoder, commands, groups);
+        self.gpu.queue.submit([encoder.finish()]);
+    }
+
+    /// Submits the commands with the device's clock read before and after each; waits.
+    fn submit_stamped(&self, commands: &[Command], groups: &[Option<wgpu::BindGroup>]) -> Result<(), GpuError> {
+        let stamps = Stamps::new(self.gpu, 2 * commands.len());
+        let mut encoder = self.encoder();
+        for (n, (command, group)) in commands.iter().zip(groups).enumerate() {
+            encoder.write_timestamp(&stamps.set, 2 * n as u32);
+            self.encode(&mut encoder, std::slice::from_ref(command), std::slice::from_ref(group));
+            encoder.write_timestamp(&stamps.set, 2 * n as u32 + 1);
+        }
+        let secs = stamps.submit(self.gpu, encoder)?;
+        for (command, &[begin, end]) in commands.iter().zip(secs.as_chunks().0) {
+            self.gpu.timings.add(command.label(), end - begin, 0.0);
+        }
+        Ok(())
+    }
+
+    /// As [`submit`](Self::submit), and waits. Seconds by the device's clock from the first command's start to the last one's
+    /// end, where it has a clock.
+    pub fn submit_timed(self) -> Result<Option<f64>, GpuError> {
+        let gpu = self.gpu;
+        if !gpu.info().clock {
+            self.submit()?;
+            gpu.wait()?;
+            return Ok(None);
+        }
+        let groups = self.bind_groups();
+        let stamps = Stamps::new(gpu, 2);
+        let mut encoder = self.encoder();
+        encoder.write_timestamp(&stamps.set, 0);
+        self.encode(&mut encoder, &self.commands, &groups);
+        encoder.write_timestamp(&stamps.set, 1);
+        let secs = stamps.submit(gpu, encoder)?;
+        gpu.check()?;
+        Ok(Some(secs[1] - secs[0]))
+    }
+
+    fn encoder(&self) -> wgpu::CommandEncoder {
+        self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(&self.label) })
     }
 
     /// What each command binds, over one buffer of all parameters; nothing for those that are no dispatch.
@@ -197,9 +254,12 @@ impl<'g> Recorder<'g> {
         self.commands.iter().map(group).collect()
     }
 
-    fn encode(&self, commands: &[Command], bind_groups: &[Option<wgpu::BindGroup>]) {
-        let device = &self.gpu.device;
-        let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(&self.label) });
+    fn encode(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        commands: &[Command],
+        bind_groups: &[Option<wgpu::BindGroup>],
+    ) {
         let mut at = 0;
         while let Some(first) = commands.get(at) {
             match first {
@@ -230,6 +290,5 @@ impl<'g> Recorder<'g> {
             }
             at += 1;
         }
-        self.gpu.queue.submit([encoder.finish()]);
     }
 }

@@ -1,19 +1,21 @@
-//! Time a kernel, for profiles: every dispatch is submitted and awaited alone. On from the start with
-//! `EFFIGY_GPU_PROFILE` set.
+//! Time a kernel, for profiles: by the device's clock where it has one, else every dispatch is submitted and awaited alone.
+//! On from the start with `EFFIGY_GPU_PROFILE` set.
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use super::device::Gpu;
+use super::buffer::Buffer;
+use super::device::{Gpu, GpuError};
 
 /// Calls and total time of one kernel.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct KernelTime {
     pub calls: u64,
     pub secs: f64,
-    /// Of all the process's threads: what a device that computes on the CPU used, whoever else uses the machine.
+    /// Of all the process's threads: what a device that computes on the CPU used, whoever else uses the machine. Zero where
+    /// the device's clock was asked.
     pub cpu_secs: f64,
 }
 
@@ -35,13 +37,46 @@ impl Timings {
     pub(super) fn measure<R>(&self, label: &str, work: impl FnOnce() -> R) -> R {
         let (start, cpu_start) = (Instant::now(), cpu_secs());
         let result = work();
-        let (secs, cpu_secs) = (start.elapsed().as_secs_f64(), cpu_secs() - cpu_start);
+        self.add(label, start.elapsed().as_secs_f64(), cpu_secs() - cpu_start);
+        result
+    }
+
+    pub(super) fn add(&self, label: &str, secs: f64, cpu_secs: f64) {
         let mut all = self.by_label.lock().unwrap();
         let entry = all.entry(label.to_owned()).or_default();
         entry.calls += 1;
         entry.secs += secs;
         entry.cpu_secs += cpu_secs;
-        result
+    }
+}
+
+/// Places for readings of the device's clock within one submission.
+pub(super) struct Stamps {
+    pub(super) set: wgpu::QuerySet,
+    ticks: Buffer<u64>,
+}
+
+impl Stamps {
+    /// Commands whose two readings a set holds.
+    pub(super) const MOST: usize = wgpu::QUERY_SET_MAX_QUERIES as usize / 2;
+
+    pub(super) fn new(gpu: &Gpu, count: usize) -> Self {
+        let set = gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
+            label: Some("gpu/stamps"),
+            ty: wgpu::QueryType::Timestamp,
+            count: count as u32,
+        });
+        Self { set, ticks: gpu.query_results("gpu/ticks", count) }
+    }
+
+    /// Submits what has been encoded, and waits. All readings in seconds.
+    pub(super) fn submit(&self, gpu: &Gpu, mut encoder: wgpu::CommandEncoder) -> Result<Vec<f64>, GpuError> {
+        encoder.resolve_query_set(&self.set, 0..self.ticks.len() as u32, &self.ticks.raw, 0);
+        gpu.queue.submit([encoder.finish()]);
+        let tick = 1e-9 * f64::from(gpu.queue.get_timestamp_period());
+        let ticks = gpu.read(&self.ticks)?;
+        // Of the differences alone: the clock itself has more digits than a double.
+        Ok(ticks.iter().map(|&t| t.wrapping_sub(ticks[0]) as f64 * tick).collect())
     }
 }
 

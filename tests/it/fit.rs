@@ -212,9 +212,12 @@ fn a_stopped_fit_goes_on_from_its_checkpoint() {
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 20)), ..Witness::default() };
     let stopped = run(&gpu, &clip_made, folder.path(), &mut witness);
     assert!(matches!(stopped, Err(PipelineError::Stopped(StopReason::Cancel))), "{stopped:?}");
-    assert!(checkpoint(folder.path()).exists());
     assert!(gpu.peak_bytes() > before);
     assert_eq!(gpu.bytes(), before, "the device's memory is free again");
+    let fresh = Start::new(&gpu, 12).state;
+    let saved = || fresh.resume(&checkpoint(folder.path())).unwrap().unwrap();
+    let first = saved();
+    assert_ne!(first.poses, first.stage_poses);
 
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 23)), ..Witness::default() };
     let stopped = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness);
@@ -222,6 +225,10 @@ fn a_stopped_fit_goes_on_from_its_checkpoint() {
     let steps: Vec<u32> =
         witness.heard.iter().filter(|p| p.stage == Stage::Geometry && p.step > 0).map(|p| p.step).collect();
     assert_eq!(steps, [21, 22, 23]);
+    // Joints are held near where the stage began, not near where it was stopped.
+    let second = saved();
+    assert_eq!(second.stage_poses, first.stage_poses);
+    assert_ne!(second.poses, first.poses);
 
     // Another clip's checkpoint, or a torn one, is not followed.
     std::fs::write(checkpoint(folder.path()), b"torn").unwrap();

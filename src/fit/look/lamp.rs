@@ -1,6 +1,8 @@
 //! The clip's light from face colours: since the light stands still and the person turns, a face is seen at many angles to
 //! the lamp and in and out of the body's own shadow; what changes with them is light, what stays is albedo.
 
+use rayon::prelude::*;
+
 use super::shadows::PosedClip;
 use crate::ops::light::{Exposure, Light};
 
@@ -113,11 +115,12 @@ pub fn solve_light(observations: &[Observation], n_faces: usize, sky: &Sky) -> L
     };
     let even = all_seen(Light::EVEN.direction).solve(0);
     let azimuths = (0..AZIMUTHS).map(|k| std::f64::consts::TAU * k as f64 / AZIMUTHS as f64);
-    let tried = azimuths.flat_map(|azimuth| ELEVATIONS_DEG.map(|elevation| (azimuth, elevation)));
-    let (cost, direction) = cheapest(tried.map(|(azimuth, elevation)| {
-        let direction = sky.direction(azimuth, elevation);
-        (all_seen(direction).solve(SEARCH_ROUNDS).error * unusual(elevation), direction)
-    }));
+    let tried: Vec<(f64, f64)> =
+        azimuths.flat_map(|azimuth| ELEVATIONS_DEG.map(|elevation| (azimuth, elevation))).collect();
+    let (cost, (azimuth, elevation)) = cheapest(&tried, |(azimuth, elevation)| {
+        all_seen(sky.direction(azimuth, elevation)).solve(SEARCH_ROUNDS).error * unusual(elevation)
+    });
+    let direction = sky.direction(azimuth, elevation);
     if even.error <= MIN_GAIN * cost {
         return Light::EVEN;
     }
@@ -162,7 +165,7 @@ pub fn solve_shadowed_light(
         };
         Problem::new(&in_some, faces.len(), of).solve(SEARCH_ROUNDS).error * unusual(place[1])
     };
-    let mut best = cheapest(SHADOWED_ELEVATIONS_DEG.map(|elevation| (cost([0.0, elevation]), [0.0, elevation])));
+    let mut best = cheapest(&SHADOWED_ELEVATIONS_DEG.map(|elevation| [0.0, elevation]), cost);
     for step in STEPS_DEG {
         loop {
             let beside = [[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]].map(|by: [f64; 2]| {
@@ -170,7 +173,7 @@ pub fn solve_shadowed_light(
                 let [low, high] = ELEVATION_RANGE_DEG;
                 [aside.clamp(-MAX_ASIDE_DEG, MAX_ASIDE_DEG), elevation.clamp(low, high)]
             });
-            let next = cheapest(beside.map(|place| (cost(place), place)));
+            let next = cheapest(&beside, cost);
             if next.0.total_cmp(&best.0).is_ge() {
                 break;
             }
@@ -204,12 +207,14 @@ fn searched(observations: &[Observation], counts: impl Fn(&Observation) -> bool)
     observations.iter().filter(|o| counts(o)).filter(chosen).copied().collect()
 }
 
-/// What was tried at the lowest cost, and that.
+/// The lowest cost of what is tried, and what has it, the first of several; on all cores.
 ///
 /// # Panics
 /// When nothing was tried.
-fn cheapest<T>(tried: impl IntoIterator<Item = (f64, T)>) -> (f64, T) {
-    tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).expect("directions are tried")
+fn cheapest<P: Copy + Sync>(tried: &[P], cost: impl Fn(P) -> f64 + Sync) -> (f64, P) {
+    let costs: Vec<f64> = tried.par_iter().map(|&place| cost(place)).collect();
+    let all = costs.into_iter().zip(tried.iter().copied());
+    all.min_by(|a, b| a.0.total_cmp(&b.0)).expect("directions are tried")
 }
 
 /// The least squares of `½ x·matrix·x − right·x` with no x below zero, from `start`: one number after the other (Gauss–Seidel).

@@ -1,5 +1,7 @@
 //! What the light does not reach: the shadows that the fitted body casts on itself in each frame, and where it shuts itself in.
 
+use rayon::prelude::*;
+
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
 use crate::gpu::GpuError;
@@ -50,21 +52,7 @@ impl<'a> PosedClip<'a> {
 
     /// Frames side by side on all cores.
     fn of_frames<T: Send>(&self, frames: &[usize], of: impl Fn(&[[f32; 3]]) -> T + Sync) -> Vec<T> {
-        let n_threads = std::thread::available_parallelism().map_or(1, usize::from);
-        let of = &of;
-        std::thread::scope(|scope| {
-            let chunks = frames.chunks(frames.len().div_ceil(n_threads).max(1));
-            let threads: Vec<_> = chunks
-                .map(|chunk| {
-                    scope.spawn(move || chunk.iter().map(|&frame| of(&self.vertices[frame])).collect::<Vec<_>>())
-                })
-                .collect();
-            // A thread that panicked has a bug that shall be seen here.
-            threads
-                .into_iter()
-                .flat_map(|thread| thread.join().unwrap_or_else(|e| std::panic::resume_unwind(e)))
-                .collect()
-        })
+        frames.par_iter().map(|&frame| of(&self.vertices[frame])).collect()
     }
 }
 

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 
 use super::prior;
 use super::problem::{ContourPoint, Pinhole, Problem};
@@ -48,7 +49,7 @@ pub fn refine(
     report: &mut Stage0Report,
     clock: &mut Clock,
 ) -> Result<(), Stage0Error> {
-    let masks: Vec<Option<Field>> = capture.frames.iter().map(mask_field).collect();
+    let masks: Vec<Option<Field>> = capture.frames.par_iter().map(mask_field).collect();
     let found = masks.iter().flatten().count();
     if found == 0 {
         report.notes.push("masks: no frame has an edge to fit".to_owned());
@@ -100,7 +101,7 @@ fn find_steps(best: &mut Candidate, outline: &Outline<'_>, capture: &Capture, ma
     let Candidate { problem, state, scales, .. } = &*best;
     let height = sides::height_px(problem, state);
     let camera = problem.camera.zoomed(state.shared.log_focal);
-    let pairs = masks.iter().zip(&capture.frames);
+    let pairs = masks.par_iter().zip(&capture.frames);
     let cells: Vec<_> = pairs.map(|(mask, seen)| Some(mask_cells(seen, &mask.as_ref()?.grid))).collect();
     let differs = |t: usize, frame: &state::Frame| {
         let (grid, cells) = (&masks[t].as_ref()?.grid, cells[t].as_ref()?);
@@ -171,18 +172,18 @@ impl Outline<'_> {
     /// Renews the problem's contours. `known`: the surface points that the problem already holds.
     fn attach(&self, problem: &mut Problem, state: &State, masks: &[Option<Field>], known: &mut HashMap<usize, usize>) {
         let camera = problem.camera.zoomed(state.shared.log_focal);
-        let mut contours = Vec::with_capacity(masks.len());
-        for (frame, mask) in state.frames.iter().zip(masks) {
-            let posed = problem.rig.pose(frame, &state.shared);
-            let mut points = mask.as_ref().map_or_else(Vec::new, |mask| self.points(&posed, &camera, mask));
-            for point in &mut points {
-                let vertex = point.vertex;
-                point.vertex = *known.entry(vertex).or_insert_with(|| {
-                    problem.surface.push(Point::vertex(self.body, vertex));
-                    problem.surface.len() - 1
-                });
-            }
-            contours.push(points);
+        let rig = &problem.rig;
+        let of_frame = |(frame, mask): (&state::Frame, &Option<Field>)| {
+            let posed = rig.pose(frame, &state.shared);
+            mask.as_ref().map_or_else(Vec::new, |mask| self.points(&posed, &camera, mask))
+        };
+        let mut contours: Vec<Vec<ContourPoint>> = state.frames.par_iter().zip(masks).map(of_frame).collect();
+        for point in contours.iter_mut().flatten() {
+            let vertex = point.vertex;
+            point.vertex = *known.entry(vertex).or_insert_with(|| {
+                problem.surface.push(Point::vertex(self.body, vertex));
+                problem.surface.len() - 1
+            });
         }
         problem.contours = contours;
     }
@@ -227,18 +228,19 @@ impl Outline<'_> {
     /// Mean intersection over union with the masks.
     fn overlap(&self, problem: &Problem, state: &State, capture: &Capture, masks: &[Option<Field>]) -> f64 {
         let camera = problem.camera.zoomed(state.shared.log_focal);
-        let (mut sum, mut count) = (0.0, 0.0);
-        for ((frame, mask), seen) in state.frames.iter().zip(masks).zip(&capture.frames) {
-            let Some(mask) = mask else { continue };
+        let of_frame = |((frame, mask), seen): ((&state::Frame, &Option<Field>), &Frame)| {
+            let mask = mask.as_ref()?;
             let posed = problem.rig.pose(frame, &state.shared);
             let model = self.filled(&posed, &camera, &mask.grid);
-            let pairs = || model.iter().zip(mask_cells(seen, &mask.grid));
-            let both = pairs().filter(|(a, b)| **a && *b).count();
-            let any = pairs().filter(|(a, b)| **a || *b).count();
-            sum += both as f64 / any.max(1) as f64;
-            count += 1.0;
-        }
-        sum / f64::max(count, 1.0)
+            let seen = mask_cells(seen, &mask.grid);
+            let pairs = || model.iter().zip(&seen);
+            let both = pairs().filter(|(a, b)| **a && **b).count();
+            let any = pairs().filter(|(a, b)| **a || **b).count();
+            Some(both as f64 / any.max(1) as f64)
+        };
+        let all: Vec<Option<f64>> = state.frames.par_iter().zip(masks).zip(&capture.frames).map(of_frame).collect();
+        let count = all.iter().flatten().count();
+        all.iter().flatten().sum::<f64>() / count.max(1) as f64
     }
 }
 

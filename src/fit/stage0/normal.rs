@@ -2,7 +2,12 @@
 //! shared unknowns (an arrow on a block tridiagonal). Solved by a block Cholesky factorisation from the first
 //! frame to the last and a Schur complement for the shared unknowns.
 
+use rayon::prelude::*;
+
 use super::state::Step;
+
+/// Rows of the shared unknowns that one core takes at a time: they stay near it.
+const SCHUR_ROWS: usize = 32;
 
 /// `H` and `g` of `½ Σ w r²`; matrices are row-major, of symmetric ones only the lower half is kept.
 pub struct Normal {
@@ -92,6 +97,7 @@ impl Normal {
         damp(&mut schur, s, lambda);
         // Unknowns of things first seen later have no share in a frame yet: its border's columns from here on are zero.
         let mut seen = 0;
+        let mut seen_by = Vec::with_capacity(n);
         for t in 0..n {
             let (before, from) = factors.split_at_mut(t * d * d);
             let factor = &mut from[..d * d];
@@ -125,11 +131,15 @@ impl Normal {
             for (row, value) in z.chunks_exact(s.max(1)).zip(b.iter()) {
                 axpy(-value, &row[..seen], &mut shared[..seen]);
             }
-            let rows: Vec<&[f64]> = z.chunks_exact(s.max(1)).map(|row| &row[..seen]).collect();
-            for four in rows.chunks(4) {
-                subtract_outer(&mut schur, s, four);
-            }
+            seen_by.push(seen);
         }
+        // Every entry takes the frames in their order, whichever core has its row.
+        schur.par_chunks_mut(SCHUR_ROWS * s.max(1)).enumerate().for_each(|(block, rows)| {
+            for (z, &seen) in border.chunks_exact(d * s.max(1)).zip(&seen_by) {
+                let z: Vec<&[f64]> = z.chunks_exact(s.max(1)).map(|row| &row[..seen]).collect();
+                z.chunks(4).for_each(|four| subtract_outer(rows, block * SCHUR_ROWS, s, four));
+            }
+        });
         cholesky(&mut schur, s)?;
         forward(&schur, s, &mut shared);
         backward(&schur, s, &mut shared);
@@ -221,12 +231,12 @@ fn backward(l: &[f64], n: usize, b: &mut [f64]) {
     }
 }
 
-/// `A −= Σ r rᵀ` over up to four rows, lower half of `A [n, n]`: together, since each pass over a large `A` costs more than the
-/// arithmetic.
-fn subtract_outer(a: &mut [f64], n: usize, rows: &[&[f64]]) {
+/// `A −= Σ r rᵀ` over up to four rows r, for some rows of `A [n, n]` from `first` on, lower half: four together, since each pass
+/// over `A` costs more than the arithmetic.
+fn subtract_outer(a: &mut [f64], first: usize, n: usize, rows: &[&[f64]]) {
     let width = rows.first().map_or(0, |row| row.len());
-    for i in 0..width {
-        let to = &mut a[i * n..][..i + 1];
+    for (i, to) in (first..width).zip(a.chunks_exact_mut(n)) {
+        let to = &mut to[..i + 1];
         match rows {
             [p, q, r, s] => {
                 let (x, y, z, w) = (p[i], q[i], r[i], s[i]);

@@ -7,6 +7,8 @@
 //! tell which of them is right. Where some are, the leg's bends in those frames are free ([`super::state::Frame::step`]), and how far
 //! each leg is twisted is looked for in all frames.
 
+use rayon::prelude::*;
+
 use super::problem::{Problem, Scales};
 use super::state::{Frame, State};
 
@@ -88,7 +90,7 @@ pub(super) struct Looks<'a> {
     pub state: &'a State,
     pub scales: &'a Scales,
     /// The area between mask and model in a frame, squares of the person's height.
-    pub differs: &'a dyn Fn(usize, &Frame) -> Option<f64>,
+    pub differs: &'a (dyn Fn(usize, &Frame) -> Option<f64> + Sync),
 }
 
 impl Looks<'_> {
@@ -111,7 +113,7 @@ impl Looks<'_> {
             let gains_of = |(t, frame): (usize, &Frame)| {
                 self.gains(t, frame, RAISED.iter().map(|&angle| lifted(frame, side, angle)))
             };
-            let gains: Vec<Option<Vec<f64>>> = self.state.frames.iter().enumerate().map(gains_of).collect();
+            let gains: Vec<Option<Vec<f64>>> = self.state.frames.par_iter().enumerate().map(gains_of).collect();
             let usual: Vec<f64> =
                 (0..RAISED.len()).map(|a| median(gains.iter().flatten().map(|g| g[a])).max(0.0)).collect();
             for (t, gains) in gains.iter().enumerate() {
@@ -126,15 +128,15 @@ impl Looks<'_> {
         if (n_lifted as f64) < OFTEN * frames.len() as f64 {
             return (Steps::default(), self.state.frames.clone());
         }
-        for (t, frame) in frames.iter_mut().enumerate() {
-            for side in 0..2 {
+        frames.par_iter_mut().zip(&mut steps.twist).enumerate().for_each(|(t, (frame, twist))| {
+            for (side, twist) in twist.iter_mut().enumerate() {
                 let gains = self.gains(t, frame, TWISTED.iter().map(|&angle| twisted(frame, side, angle)));
                 if let Some(angle) = best(TWISTED.into_iter().zip(gains.into_iter().flatten()), TWIST_MARGIN) {
                     *frame = twisted(frame, side, angle);
-                    steps.twist[t][side] = angle;
+                    *twist = angle;
                 }
             }
-        }
+        });
         (steps, frames)
     }
 }

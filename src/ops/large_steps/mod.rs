@@ -55,8 +55,9 @@ impl Spectrum {
             let around = |i: usize| row(i).iter().map(|&j| scaled[j as usize]).sum::<f64>();
             let next: Vec<f64> = (0..n).map(|i| x[i] - lambda * around(i) / diagonal[i].sqrt()).collect();
             let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
-            largest = norm(&next) / norm(&x).max(1e-300);
-            x = next.iter().map(|y| y / norm(&next).max(1e-300)).collect();
+            let length = norm(&next).max(1e-300);
+            largest = length / norm(&x).max(1e-300);
+            x = next.iter().map(|y| y / length).collect();
         }
         Self { low, high: (Self::MARGIN * largest).clamp(low, 1.0 + rho) }
     }

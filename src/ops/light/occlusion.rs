@@ -7,12 +7,15 @@
 //! On the host, as shadows are ([`super::shadow`]): once a phase and frame, or once a picture, and without a gradient.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::depth_map::DepthMap;
 use crate::ops::face_normals::cpu::forward as face_normals;
 
 /// Lines along which is looked.
 const AXES: usize = 32;
+/// Lines whose sums are made one after the other.
+const AXES_A_PART: usize = 4;
 /// Pixels of a depth image's side.
 const SIDE: usize = 160;
 /// How far a vertex is lifted along its normal, in pixels: then a plane does not hide itself, however it lies.
@@ -33,13 +36,8 @@ pub fn openness(vertices: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<f32> {
         axes.iter().for_each(|&axis| look_along(axis, vertices, &normals, faces, &mut sums));
         sums
     };
-    let axes = axes();
-    let n_threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let parts: Vec<Vec<[f32; 2]>> = std::thread::scope(|scope| {
-        let threads: Vec<_> = axes.chunks(AXES.div_ceil(n_threads)).map(|axes| scope.spawn(|| along(axes))).collect();
-        // A thread that panicked has a bug that shall be seen here.
-        threads.into_iter().map(|thread| thread.join().unwrap_or_else(|e| std::panic::resume_unwind(e))).collect()
-    });
+    // Equal parts on every machine, so that the sums do not depend on its cores.
+    let parts: Vec<Vec<[f32; 2]>> = axes().par_chunks(AXES_A_PART).map(along).collect();
     let sum = |v: usize, k: usize| parts.iter().map(|part| part[v][k]).sum::<f32>();
     let share = |v| if sum(v, 1) > 0.0 { sum(v, 0) / sum(v, 1) } else { 1.0 };
     (0..vertices.len()).map(share).collect()

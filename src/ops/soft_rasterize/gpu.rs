@@ -48,7 +48,7 @@ impl Passes {
     fn new(gpu: &Gpu, coverage: bool) -> Self {
         let tile = ("TILE", format!("{TILE}u"));
         // A subgroup's width there.
-        let lanes = ("LANES", if gpu.info().software { "8u" } else { "32u" }.to_owned());
+        let lanes = ("LANES", if gpu.info().wide { "32u" } else { "8u" }.to_owned());
         let covers = ("COVERAGE", coverage.to_string());
         let lists = [tile.clone(), ("LIMITED", (!coverage).to_string())];
         Self {
@@ -68,6 +68,8 @@ pub struct SoftRasterizer {
     limits_pass: Arc<Kernel>,
     scan: Arc<Kernel>,
     order: Arc<Kernel>,
+    /// The lists in order, where many cores put them there; else they are put in order where they are.
+    ordered: Option<Buffer<u32>>,
     /// With coverage; colours alone.
     with_coverage: Passes,
     colours_alone: Passes,
@@ -103,10 +105,13 @@ impl SoftRasterizer {
     pub fn new(gpu: &Gpu, corners: &Arc<Corners>, max_pixels: usize, list_capacity: usize) -> Self {
         let n_faces = corners.n_faces();
         let n_tiles = max_tiles(max_pixels);
+        let wide = gpu.info().wide;
+        let scan_lanes = format!("{}u", if wide { gpu.info().max_workgroup.min(1024) } else { 256 });
         Self {
             limits_pass: kernel!(gpu, "soft_rasterize/limits", &[("TILE", format!("{TILE}u"))]),
-            scan: kernel!(gpu, "soft_rasterize/scan"),
-            order: kernel!(gpu, "soft_rasterize/order"),
+            scan: kernel!(gpu, "soft_rasterize/scan", &[("LANES", scan_lanes)]),
+            order: if wide { kernel!(gpu, "soft_rasterize/rank") } else { kernel!(gpu, "soft_rasterize/order") },
+            ordered: wide.then(|| gpu.zeros("soft_rasterize/ordered", list_capacity)),
             with_coverage: Passes::new(gpu, true),
             colours_alone: Passes::new(gpu, false),
             records: gpu.zeros("soft_rasterize/records", n_faces * 16),
@@ -214,7 +219,17 @@ impl SoftRasterizer {
         let buffers: [&dyn AnyBuffer; 6] = [counts, starts, cursors, busy, drawn, workgroups];
         recorder.dispatch(&self.scan, &params, &buffers, [1, 1, 1]);
         recorder.dispatch(&passes.fill, &params, &[boxes, cursors, entries, records, limits], by_face);
-        recorder.dispatch_indirect(&self.order, &params, &[starts, busy, entries], workgroups, 6);
+        let entries = match &self.ordered {
+            Some(ordered) => {
+                let buffers: [&dyn AnyBuffer; 4] = [starts, busy, entries, ordered];
+                recorder.dispatch_indirect(&self.order, &params, &buffers, workgroups, 0);
+                ordered
+            }
+            None => {
+                recorder.dispatch_indirect(&self.order, &params, &[starts, busy, entries], workgroups, 6);
+                entries
+            }
+        };
         let buffers: [&dyn AnyBuffer; 8] =
             [records, face_colours, starts, entries, &self.rgb, &self.alpha, &self.state, busy];
         recorder.dispatch_indirect(&passes.forward, &params, &buffers, workgroups, 0);

@@ -10,10 +10,38 @@ use crate::ops::exact_sum::ExactSum;
 /// Lanes of a workgroup that takes a pixel a lane; and the most pixels for which such workgroups can be counted.
 const LANES: usize = 256;
 const MAX_CAPACITY: usize = LANES * 65_535;
-/// Pixels that one partial sum of the weights' gradient covers.
-const CHUNK: usize = 256;
-/// Listed pixels that one invocation follows through a level.
-const RUN: usize = 32;
+/// How the gradients' work is divided.
+#[derive(Clone, Copy)]
+struct Shares {
+    /// Pixels that one partial sum of the weights' gradient covers.
+    chunk: usize,
+    /// Vectors of inputs and of outputs of one of its tiles, at most: the larger a tile, the less is read for each product.
+    tile: [usize; 2],
+    /// Tiles a workgroup.
+    tiles: usize,
+    /// Invocations that add up the partial sums of one weight.
+    sharers: usize,
+    /// Listed pixels that one invocation follows through a level: the more, the fewer atomic additions.
+    run: usize,
+}
+
+impl Shares {
+    const FEW_CORES: Self = Self { chunk: 256, tile: [2, 4], tiles: 8, sharers: 1, run: 32 };
+    const MANY_CORES: Self = Self { chunk: 64, tile: [1, 1], tiles: 32, sharers: 16, run: 8 };
+
+    fn of(gpu: &Gpu) -> Self {
+        if gpu.info().wide { Self::MANY_CORES } else { Self::FEW_CORES }
+    }
+
+    /// Of a layer: those that divide its inputs and outputs, vectors of four.
+    fn tile(&self, (inputs4, outputs4): (usize, usize)) -> [usize; 2] {
+        let side = |width4: usize, most: usize| (1..=most).rev().find(|&n| width4.is_multiple_of(n)).unwrap_or(1);
+        [side(inputs4, self.tile[0]), side(outputs4, self.tile[1])]
+    }
+}
+
+/// Lanes of the workgroups that add up partial sums.
+const REDUCE_LANES: usize = 64;
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -73,6 +101,7 @@ pub struct TextureField {
     config: TextureFieldConfig,
     layout: Layout,
     capacity: usize,
+    shares: Shares,
     encode_params: EncodeParams,
     kernels: Kernels,
     activations: Activations,
@@ -101,14 +130,16 @@ impl TextureField {
         params.validate(&config)?;
         assert!(capacity <= MAX_CAPACITY, "texture_field: capacity {capacity}");
         let layout = Layout::new(&config);
+        let shares = Shares::of(gpu);
         let (encoded, hidden) = (4 * layout.encoded4 * capacity, 4 * layout.hidden4 * capacity);
         let scratch = |name: &str, len: usize| gpu.zeros::<f32>(&format!("texture_field/{name}"), len);
         Ok(Self {
             config,
             layout,
             capacity,
+            shares,
             encode_params: encode_params(&config),
-            kernels: kernels(gpu, &layout),
+            kernels: kernels(gpu, &layout, &shares),
             activations: Activations {
                 groups: gpu.zeros("texture_field/groups", 15),
                 encoded: scratch("encoded", encoded),
@@ -118,7 +149,7 @@ impl TextureField {
                 delta1: scratch("delta1", hidden),
                 delta2: scratch("delta2", 4 * capacity),
                 grad_encoded: scratch("grad_encoded", encoded),
-                partial: scratch("partial", capacity.div_ceil(CHUNK) * 4 * layout.weights4()),
+                partial: scratch("partial", capacity.div_ceil(shares.chunk) * 4 * layout.weights4()),
             },
             table: gpu.upload("texture_field/table", &params.table),
             weights: gpu.upload("texture_field/weights", &layout.pack(params)),
@@ -148,8 +179,8 @@ impl TextureField {
         let params: Params = [n_max as u32, 0, 0, 0];
         let [t0, t1, t2] = [0, 1, 2].map(|layer| {
             let (inputs4, outputs4) = self.layer4(layer);
-            let [tile_i, tile_o] = tile((inputs4, outputs4));
-            (inputs4 / tile_i * (outputs4 / tile_o)).div_ceil(8) as u32
+            let [tile_i, tile_o] = self.shares.tile((inputs4, outputs4));
+            (inputs4 / tile_i * (outputs4 / tile_o)).div_ceil(self.shares.tiles) as u32
         });
         let shares: [u32; 8] = [n_max as u32, self.config.n_levels as u32, t0, t1, t2, 0, 0, 0];
         recorder.dispatch(&self.kernels.groups, &shares, &[count, &a.groups], [1, 1, 1]);
@@ -200,7 +231,8 @@ impl TextureField {
             recorder.dispatch_indirect(kernel, &params(offset4), &buffers, &a.groups, BY_CHUNK[layer]);
         }
         let buffers: [&dyn AnyBuffer; 3] = [count, &a.partial, &self.grad_weights];
-        recorder.dispatch(&self.kernels.weight_reduce, &params(0), &buffers, [weights4.div_ceil(64) as u32, 1, 1]);
+        let groups = weights4.div_ceil(REDUCE_LANES / self.shares.sharers) as u32;
+        recorder.dispatch(&self.kernels.weight_reduce, &params(0), &buffers, [groups, 1, 1]);
         let encode = EncodeParams { n_max: n_max as u32, ..self.encode_params };
         let buffers: [&dyn AnyBuffer; 4] = [count, coords, &a.grad_encoded, &self.table_sums.sums];
         recorder.dispatch_indirect(&self.kernels.table_gradient, &encode, &buffers, &a.groups, BY_RUN);
@@ -260,12 +292,6 @@ fn layer4(layout: &Layout, layer: usize) -> (usize, usize) {
     [(layout.encoded4, layout.hidden4), (layout.hidden4, layout.hidden4), (layout.hidden4, 1)][layer]
 }
 
-/// Vectors of inputs and of outputs of a tile of the weights' gradient: the larger a tile, the less is read for each product.
-fn tile((inputs4, outputs4): (usize, usize)) -> [usize; 2] {
-    let side = |width4: usize, most: usize| (1..=most).rev().find(|&n| width4.is_multiple_of(n)).unwrap_or(1);
-    [side(inputs4, 2), side(outputs4, 4)]
-}
-
 fn encode_params(config: &TextureFieldConfig) -> EncodeParams {
     let mut params: EncodeParams = bytemuck::Zeroable::zeroed();
     params.n_levels = config.n_levels as u32;
@@ -283,21 +309,23 @@ fn encode_params(config: &TextureFieldConfig) -> EncodeParams {
     params
 }
 
-fn kernels(gpu: &Gpu, layout: &Layout) -> Kernels {
+fn kernels(gpu: &Gpu, layout: &Layout, shares: &Shares) -> Kernels {
     let lanes = ("LANES", format!("{LANES}u"));
     let encoded4 = ("ENCODED4", format!("{}u", layout.encoded4));
     let hidden4 = ("HIDDEN4", format!("{}u", layout.hidden4));
-    let run = ("RUN", format!("{RUN}u"));
-    let chunk = ("CHUNK", format!("{CHUNK}u"));
+    let run = ("RUN", format!("{}u", shares.run));
+    let chunk = ("CHUNK", format!("{}u", shares.chunk));
+    let sharers = ("SHARERS", format!("{}u", shares.sharers));
     let weight_gradient = |layer: usize| {
         let (inputs4, outputs4) = layer4(layout, layer);
-        let [tile_i, tile_o] = tile((inputs4, outputs4));
+        let [tile_i, tile_o] = shares.tile((inputs4, outputs4));
         let constants = [
             ("INPUTS4", format!("{inputs4}u")),
             ("OUTPUTS4", format!("{outputs4}u")),
             ("TILE_I", format!("{tile_i}u")),
             ("TILE_O", format!("{tile_o}u")),
             chunk.clone(),
+            ("LANES", format!("{}u", shares.tiles)),
         ];
         kernel!(gpu, "texture_field/weight_gradient", &constants)
     };
@@ -311,6 +339,6 @@ fn kernels(gpu: &Gpu, layout: &Layout) -> Kernels {
         table_gradient: kernel!(gpu, "texture_field/table_gradient", &[encoded4.clone(), run]),
         coords_gradient: kernel!(gpu, "texture_field/coords_gradient", &encoding),
         weight_gradient: [0, 1, 2].map(weight_gradient),
-        weight_reduce: kernel!(gpu, "texture_field/weight_reduce", std::slice::from_ref(&chunk)),
+        weight_reduce: kernel!(gpu, "texture_field/weight_reduce", &[chunk, sharers]),
     }
 }

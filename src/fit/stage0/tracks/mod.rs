@@ -9,6 +9,7 @@ mod search;
 mod tests;
 
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 
 use super::rig::{Point, Posed};
 use super::state::State;
@@ -156,7 +157,7 @@ fn attach(best: &Candidate, body: &Body, tracks: &[Track], height: f64) -> Track
     let stature = problem.stature.of(&state.shared.betas);
     let posed: Vec<Posed> = state.frames.iter().map(|frame| problem.rig.pose(frame, &state.shared)).collect();
     let surfaces: Vec<Surface> =
-        posed.iter().map(|posed| Surface::new(body, &shaped, posed, |p| camera.project(p))).collect();
+        posed.par_iter().map(|posed| Surface::new(body, &shaped, posed, |p| camera.project(p))).collect();
     let mut taken: Vec<(usize, DVec2)> = Vec::new();
     let mut chosen = Vec::new();
     for track in tracks {

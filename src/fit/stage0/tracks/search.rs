@@ -1,6 +1,7 @@
 //! Which points are followed, and for how long.
 
 use glam::DVec2;
+use rayon::prelude::*;
 
 use super::flow::{self, LEVELS};
 use super::picture::Picture;
@@ -49,8 +50,10 @@ pub fn find(capture: &Capture, height_px: f64, mut goes_on: impl FnMut() -> bool
         }
         let now = Picture::new(frame, LEVELS);
         if let Some(before) = &before {
-            for mut track in std::mem::take(&mut alive) {
-                match track.places.last().and_then(|at| step(before, &now, *at, radius, FASTEST * height_px)) {
+            let follow = |track: &Track| step(before, &now, *track.places.last()?, radius, FASTEST * height_px);
+            let places: Vec<Option<DVec2>> = alive.par_iter().map(follow).collect();
+            for (mut track, next) in std::mem::take(&mut alive).into_iter().zip(places) {
+                match next {
                     Some(next) => {
                         track.places.push(next);
                         alive.push(track);
@@ -82,16 +85,13 @@ fn step(from: &Picture, to: &Picture, at: DVec2, radius: i32, most: f64) -> Opti
 fn corners(picture: &Picture, radius: i32, apart: f64) -> Vec<DVec2> {
     let level = &picture.levels[0];
     let stride = (apart / 3.0).max(1.0) as usize;
-    let mut candidates = Vec::new();
-    for y in (0..level.height).step_by(stride) {
-        for x in (0..level.width).step_by(stride) {
-            let at = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-            if level.is_inside(at) {
-                candidates.push((flow::texture(level, at, radius), at));
-            }
-        }
-    }
-    candidates.retain(|(texture, _)| *texture > 0.0);
+    let in_row = |y: usize| {
+        let row = (0..level.width).step_by(stride).map(move |x| DVec2::new(x as f64 + 0.5, y as f64 + 0.5));
+        let inside = row.filter(|at| level.is_inside(*at)).map(|at| (flow::texture(level, at, radius), at));
+        inside.filter(|(texture, _)| *texture > 0.0).collect::<Vec<_>>()
+    };
+    let mut candidates: Vec<(f64, DVec2)> =
+        (0..level.height).into_par_iter().step_by(stride).flat_map_iter(in_row).collect();
     candidates.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut chosen: Vec<DVec2> = Vec::new();
     for (_, at) in candidates {
