@@ -15,6 +15,8 @@ pub struct Buffer<T> {
     pub(super) raw: wgpu::Buffer,
     label: String,
     len: usize,
+    /// Its own among the device's buffers.
+    pub(super) number: u64,
     memory: Arc<Memory>,
     kind: PhantomData<T>,
 }
@@ -35,7 +37,7 @@ impl<T> Buffer<T> {
 
 impl<T> Drop for Buffer<T> {
     fn drop(&mut self) {
-        self.memory.sub(self.raw.size());
+        self.memory.drop_buffer(self.raw.size());
     }
 }
 
@@ -94,7 +96,8 @@ impl Gpu {
             self.run_out_of_memory(label);
         }
         self.memory.add(raw.size());
-        Buffer { raw, label: label.to_owned(), len, memory: self.memory.clone(), kind: PhantomData }
+        let (number, memory) = (self.memory.number(), self.memory.clone());
+        Buffer { raw, label: label.to_owned(), len, number, memory, kind: PhantomData }
     }
 
     /// Overwrites `buffer` from element `offset` on. Ordered before the next submission.

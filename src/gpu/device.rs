@@ -2,8 +2,9 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard};
 
+use super::bindings::Bindings;
 use super::kernel::Kernel;
 use super::timing::Timings;
 
@@ -60,6 +61,8 @@ pub struct Gpu {
     pub(super) memory: Arc<Memory>,
     pub(super) fault: Arc<Mutex<Option<Fault>>>,
     pub(super) timings: Timings,
+    /// What offsets of uniform bindings are multiples of.
+    pub(super) params_alignment: usize,
 }
 
 #[derive(Clone, Debug)]
@@ -68,11 +71,15 @@ pub(super) enum Fault {
     Failed(String),
 }
 
-/// Bytes of buffers alive now and at most.
+/// Bytes of buffers alive now and at most, and what binds them.
 #[derive(Default)]
 pub(super) struct Memory {
     now: AtomicU64,
     peak: AtomicU64,
+    numbers: AtomicU64,
+    /// Buffers so far.
+    dropped: AtomicU64,
+    bindings: Mutex<Bindings>,
 }
 
 impl Memory {
@@ -81,8 +88,26 @@ impl Memory {
         self.peak.fetch_max(now, Ordering::Relaxed);
     }
 
-    pub(super) fn sub(&self, bytes: u64) {
+    /// Takes note that a buffer is dropped. Bind groups hold it too: they go at once, or with the next submission where one is
+    /// being made.
+    pub(super) fn drop_buffer(&self, bytes: u64) {
         self.now.fetch_sub(bytes, Ordering::Relaxed);
+        self.dropped.fetch_add(1, Ordering::Relaxed);
+        if let Ok(mut bindings) = self.bindings.try_lock() {
+            bindings.forget();
+        }
+    }
+
+    /// What dispatches bind, for one submission; others wait until it is made.
+    pub(super) fn bindings(&self, gpu: &Gpu, params: &[u8]) -> MutexGuard<'_, Bindings> {
+        let mut bindings = self.bindings.lock().unwrap();
+        bindings.begin(&gpu.device, &gpu.queue, params, self.dropped.load(Ordering::Relaxed));
+        bindings
+    }
+
+    /// A number that nothing else on the device has.
+    pub(super) fn number(&self) -> u64 {
+        self.numbers.fetch_add(1, Ordering::Relaxed)
     }
 }
 
@@ -142,6 +167,7 @@ impl Gpu {
             features |= stamps;
         }
         let limits = adapter.limits();
+        let params_alignment = limits.min_uniform_buffer_offset_alignment as usize;
         let max_binding_bytes = limits.max_storage_buffer_binding_size;
         let max_workgroup = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
         let (device, queue) = adapter
@@ -186,6 +212,7 @@ impl Gpu {
             memory: Arc::default(),
             fault,
             timings: Timings::default(),
+            params_alignment,
         };
         gpu.set_profiling(std::env::var_os("EFFIGY_GPU_PROFILE").is_some());
         Ok(Arc::new(gpu))

@@ -3,16 +3,19 @@
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
+use super::bindings::layout_entries;
 use super::device::Gpu;
 use super::rehearsal::{Point, strikes};
 use super::shader::{Expansion, expand};
 
 /// A compiled compute shader with one entry point and one bind group: binding 0 is the uniform `params`, bindings 1…
-/// are storage buffers in the order given at the dispatch. Each shader must use all of its bindings.
+/// are storage buffers in the order given at the dispatch.
 pub struct Kernel {
     pub(super) pipeline: wgpu::ComputePipeline,
     pub(super) layout: wgpu::BindGroupLayout,
     pub(super) label: String,
+    /// Its own among the device's kernels.
+    pub(super) number: u64,
 }
 
 impl Gpu {
@@ -39,6 +42,7 @@ impl Gpu {
             return kernel.clone();
         }
         let mut text = expand(label, source, Expansion { wide_sums, constants });
+        let entries = layout_entries(label, &text);
         if strikes(Point::Shader) {
             text.push_str("\nthis is no WGSL");
         }
@@ -50,9 +54,17 @@ impl Gpu {
             // them with the checks on as well (EFFIGY_GPU_CHECKED). The checks add a counter to every loop.
             unsafe { self.device.create_shader_module_trusted(desc, wgpu::ShaderRuntimeChecks::unchecked()) }
         };
+        let layout = self
+            .device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries });
+        let pipeline_layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(label),
+            bind_group_layouts: &[Some(&layout)],
+            ..Default::default()
+        });
         let pipeline = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(label),
-            layout: None,
+            layout: Some(&pipeline_layout),
             module: &module,
             entry_point: None,
             compilation_options: wgpu::PipelineCompilationOptions {
@@ -61,7 +73,7 @@ impl Gpu {
             },
             cache: None,
         });
-        let kernel = Arc::new(Kernel { layout: pipeline.get_bind_group_layout(0), pipeline, label: label.to_owned() });
+        let kernel = Arc::new(Kernel { layout, pipeline, label: label.to_owned(), number: self.memory.number() });
         self.kernels.lock().unwrap().insert(key, kernel.clone());
         kernel
     }

@@ -3,6 +3,7 @@
 //! An operator holds [`Kernel`]s and records dispatches over [`Buffer`]s into a [`Recorder`]; one recorder is one
 //! submission, so a whole optimisation step reaches the device at once.
 
+mod bindings;
 mod buffer;
 mod device;
 mod kernel;

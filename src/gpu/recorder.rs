@@ -1,12 +1,11 @@
 //! Recording dispatches into one submission.
 
-use std::num::NonZero;
 use std::ops::Range;
 use std::sync::Arc;
 
 use bytemuck::Pod;
-use wgpu::util::DeviceExt;
 
+use super::bindings::Bindings;
 use super::buffer::Buffer;
 use super::device::{Gpu, GpuError};
 use super::kernel::Kernel;
@@ -16,11 +15,18 @@ use super::timing::Stamps;
 /// A buffer of any element type, for binding lists.
 pub trait AnyBuffer {
     fn raw(&self) -> &wgpu::Buffer;
+
+    /// Its own among the device's buffers.
+    fn number(&self) -> u64;
 }
 
 impl<T> AnyBuffer for Buffer<T> {
     fn raw(&self) -> &wgpu::Buffer {
         &self.raw
+    }
+
+    fn number(&self) -> u64 {
+        self.number
     }
 }
 
@@ -39,11 +45,11 @@ enum Groups {
 }
 
 enum Command {
-    /// `params` is a place among the recorder's parameters, `buffers` are the bindings from 1 on.
+    /// `params` is a place among the recorder's parameters, `buffers` are the bindings from 1 on, each with its number.
     Dispatch {
         kernel: Arc<Kernel>,
         params: Range<usize>,
-        buffers: Vec<wgpu::Buffer>,
+        buffers: Vec<(u64, wgpu::Buffer)>,
         groups: Groups,
     },
     Clear {
@@ -114,11 +120,10 @@ impl<'g> Recorder<'g> {
     }
 
     fn push<P: Pod>(&mut self, kernel: &Arc<Kernel>, params: &P, buffers: &[&dyn AnyBuffer], groups: Groups) {
-        let alignment = self.gpu.device.limits().min_uniform_buffer_offset_alignment as usize;
-        let first = self.params.len().next_multiple_of(alignment);
+        let first = self.params.len().next_multiple_of(self.gpu.params_alignment);
         self.params.resize(first, 0);
         self.params.extend_from_slice(bytemuck::bytes_of(params));
-        let buffers = buffers.iter().map(|buffer| buffer.raw().clone()).collect();
+        let buffers = buffers.iter().map(|buffer| (buffer.number(), buffer.raw().clone())).collect();
         let params = first..self.params.len();
         self.commands.push(Command::Dispatch { kernel: kernel.clone(), params, buffers, groups });
     }
@@ -159,7 +164,9 @@ impl<'g> Recorder<'g> {
         if strikes(Point::Lost) {
             self.gpu.lose();
         }
-        let groups = self.bind_groups();
+        // Until all is submitted: others would overwrite the parameters.
+        let mut bindings = self.gpu.memory.bindings(self.gpu, &self.params);
+        let groups = self.bind_groups(&mut bindings);
         if self.gpu.profiling() && self.gpu.info().clock {
             for (commands, groups) in self.commands.chunks(Stamps::MOST).zip(groups.chunks(Stamps::MOST)) {
                 self.submit_stamped(commands, groups)?;
@@ -208,7 +215,8 @@ impl<'g> Recorder<'g> {
             gpu.wait()?;
             return Ok(None);
         }
-        let groups = self.bind_groups();
+        let mut bindings = gpu.memory.bindings(gpu, &self.params);
+        let groups = self.bind_groups(&mut bindings);
         let stamps = Stamps::new(gpu, 2);
         let mut encoder = self.encoder();
         encoder.write_timestamp(&stamps.set, 0);
@@ -223,33 +231,13 @@ impl<'g> Recorder<'g> {
         self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some(&self.label) })
     }
 
-    /// What each command binds, over one buffer of all parameters; nothing for those that are no dispatch.
-    fn bind_groups(&self) -> Vec<Option<wgpu::BindGroup>> {
-        let device = &self.gpu.device;
-        if self.params.is_empty() {
-            return vec![None; self.commands.len()];
-        }
-        let uniforms = device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some(&self.label),
-            contents: &self.params,
-            usage: wgpu::BufferUsages::UNIFORM,
-        });
-        let group = |command: &Command| {
-            let Command::Dispatch { kernel, params, buffers, .. } = command else { return None };
-            let uniform = wgpu::BufferBinding {
-                buffer: &uniforms,
-                offset: params.start as u64,
-                size: NonZero::new(params.len() as u64),
-            };
-            let resources = buffers.iter().map(wgpu::Buffer::as_entire_binding);
-            let resources = std::iter::once(wgpu::BindingResource::Buffer(uniform)).chain(resources);
-            let entries: Vec<_> =
-                (0..).zip(resources).map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource }).collect();
-            Some(device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some(&kernel.label),
-                layout: &kernel.layout,
-                entries: &entries,
-            }))
+    /// What each command binds; nothing for those that are no dispatch.
+    fn bind_groups(&self, bindings: &mut Bindings) -> Vec<Option<wgpu::BindGroup>> {
+        let group = |command: &Command| match command {
+            Command::Dispatch { kernel, params, buffers, .. } => {
+                Some(bindings.group(&self.gpu.device, kernel, params.len(), buffers))
+            }
+            _ => None,
         };
         self.commands.iter().map(group).collect()
     }
@@ -275,9 +263,9 @@ impl<'g> Recorder<'g> {
                         timestamp_writes: None,
                     });
                     for (command, group) in commands[at..end].iter().zip(&bind_groups[at..end]) {
-                        if let Command::Dispatch { kernel, groups, .. } = command {
+                        if let Command::Dispatch { kernel, params, groups, .. } = command {
                             pass.set_pipeline(&kernel.pipeline);
-                            pass.set_bind_group(0, group.as_ref(), &[]);
+                            pass.set_bind_group(0, group.as_ref(), &[params.start as u32]);
                             match groups {
                                 Groups::Counted([x, y, z]) => pass.dispatch_workgroups(*x, *y, *z),
                                 Groups::Stored(buffer, offset) => pass.dispatch_workgroups_indirect(buffer, *offset),

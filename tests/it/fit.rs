@@ -510,8 +510,14 @@ fn a_pose_is_refined_on_its_picture_while_the_avatar_stands() {
     let refined = fit::refine_pose(&gpu, &start.body, camera, picture, alone.clone(), &config).unwrap();
     let far = |state: &FitState| (state.transl[0] - fitted.transl[0]).abs();
     assert!(far(&refined) < 0.4 * far(&alone), "{} of {} m are left", far(&refined), far(&alone));
-    let stood =
-        FitState { poses: alone.poses, transl: alone.transl, stage: refined.stage, step: refined.step, ..fitted };
+    let stood = FitState {
+        stage_poses: alone.poses.clone(),
+        poses: alone.poses,
+        transl: alone.transl,
+        stage: refined.stage,
+        step: refined.step,
+        ..fitted
+    };
     assert_eq!(
         FitState { poses: stood.poses.clone(), transl: stood.transl.clone(), ..refined },
         stood,
