@@ -18,7 +18,7 @@ use crate::ops::texture_field::TextureFieldParams;
 pub struct PictureTimes {
     /// From the request to the pixels on the host: much of it is the host's, so the wall times count.
     pub times: Times,
-    /// Kernels, each dispatch timed alone: sums over a picture.
+    /// Kernels, each dispatch timed by itself: sums over a picture.
     pub kernels: BTreeMap<String, KernelTime>,
 }
 

@@ -16,7 +16,7 @@ use crate::ops::{Corners, Topology};
 
 /// How far the seen person stands beside the body that a step starts with, metres.
 const ASIDE_M: f32 = 0.01;
-/// How long a device is warmed up that is none of the host's own.
+/// How long a device that is not the CPU is warmed up.
 const WARM_UP: Duration = Duration::from_millis(500);
 const STEPS_IN_A_ROW: u32 = 16;
 
@@ -27,7 +27,7 @@ pub struct StepTimes {
     pub frames: usize,
     pub times: Times,
     pub row: Row,
-    /// Kernels, each dispatch timed alone: sums over a step.
+    /// Kernels, each dispatch timed by itself: sums over a step.
     pub kernels: BTreeMap<String, KernelTime>,
     /// Of all device buffers, so far in this process.
     pub peak_device_bytes: u64,
@@ -113,7 +113,8 @@ impl StepBench {
         with_step(&self.gpu, &self.body, &self.capture, config, &state, phase, &frames, with)
     }
 
-    /// Times of one step on all frames: `repeats` steps after one that compiles, then a few that are profiled.
+    /// Times of one step on all frames: `repeats` steps after some that compile and warm up, half as many rows, then a few that
+    /// are profiled.
     pub fn run(&self, stage: Stage, repeats: u32) -> Result<StepTimes, FitError> {
         let gpu = &self.gpu;
         let (times, row, kernels) = self.with(stage, |step| {

@@ -9,7 +9,7 @@ use crate::gpu::{Gpu, GpuError, KernelTime, cpu_secs};
 /// Times of one thing, milliseconds.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 pub struct Times {
-    /// The shortest wall time: what the device does when nobody disturbs it.
+    /// The shortest wall time: what the device does when nobody disturbs it. Where its clock is asked, that is a part of it.
     pub best_ms: f64,
     pub median_ms: f64,
     /// The shortest CPU time, all threads together. A device that computes on the CPU takes about this over the number of
@@ -51,7 +51,7 @@ pub fn timed<E>(work: impl FnOnce() -> Result<(), E>) -> Result<[f64; 2], E> {
     Ok([1e3 * start.elapsed().as_secs_f64(), 1e3 * (cpu_secs() - cpu_start)])
 }
 
-/// The kernels of some work, each dispatch timed alone: sums over one call, as the mean of `repeats`.
+/// The kernels of some work, each dispatch timed by itself: sums over one call, as the mean of `repeats`.
 pub(super) fn profiled<E>(
     gpu: &Gpu,
     repeats: u32,

@@ -59,7 +59,9 @@ pub struct Args {
 }
 
 pub fn run(args: Args) -> anyhow::Result<()> {
-    if let Ok(filter) = tracing_subscriber::EnvFilter::try_from_env("EFFIGY_LOG") {
+    if let Ok(filter) = std::env::var("EFFIGY_LOG") {
+        let filter =
+            tracing_subscriber::EnvFilter::try_new(&filter).with_context(|| format!("EFFIGY_LOG={filter:?}"))?;
         tracing_subscriber::fmt().with_writer(std::io::stderr).with_env_filter(filter).init();
     }
     let input = input_of(&args)?;

@@ -14,7 +14,7 @@ const LEAST_ROOM: u64 = 1 << 16;
 #[derive(Default)]
 pub(super) struct Bindings {
     params: Option<wgpu::Buffer>,
-    /// By the kernel and the buffers that are bound.
+    /// By the kernel, the bytes of its parameters and the buffers that are bound.
     groups: HashMap<Box<[u64]>, wgpu::BindGroup>,
     /// [`super::device::Memory::dropped`] when they were made.
     dropped: u64,
@@ -61,7 +61,7 @@ impl Bindings {
         buffers: &[(u64, wgpu::Buffer)],
     ) -> wgpu::BindGroup {
         self.key.clear();
-        self.key.push(kernel.number);
+        self.key.extend([kernel.number, params_len as u64]);
         self.key.extend(buffers.iter().map(|(number, _)| number));
         if let Some(group) = self.groups.get(self.key.as_slice()) {
             return group.clone();

@@ -80,17 +80,6 @@ impl Gpu {
         self.track(label, raw, len)
     }
 
-    /// A buffer for `len` answers to queries.
-    pub(super) fn query_results(&self, label: &str, len: usize) -> Buffer<u64> {
-        let raw = self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size: (len * size_of::<u64>()) as u64,
-            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
-            mapped_at_creation: false,
-        });
-        self.track(label, raw, len)
-    }
-
     fn track<T>(&self, label: &str, raw: wgpu::Buffer, len: usize) -> Buffer<T> {
         if strikes(Point::Memory) {
             self.run_out_of_memory(label);
@@ -125,6 +114,12 @@ impl Gpu {
         }
         // Copies are whole words.
         let size = ((len * size_of::<T>()) as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT).min(buffer.raw.size());
+        let bytes = self.read_bytes(&buffer.raw, size, &buffer.label)?;
+        Ok(bytemuck::pod_collect_to_vec(&bytes[..len * size_of::<T>()]))
+    }
+
+    /// The first `size` bytes of a buffer, whole words; waits.
+    pub(super) fn read_bytes(&self, buffer: &wgpu::Buffer, size: u64, label: &str) -> Result<Vec<u8>, GpuError> {
         let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("gpu/read"),
             size,
@@ -133,7 +128,7 @@ impl Gpu {
         });
         let mut encoder =
             self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("gpu/read") });
-        encoder.copy_buffer_to_buffer(&buffer.raw, 0, &staging, 0, size);
+        encoder.copy_buffer_to_buffer(buffer, 0, &staging, 0, size);
         self.queue.submit([encoder.finish()]);
         let (send, receive) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |result| {
@@ -143,8 +138,8 @@ impl Gpu {
         receive
             .recv()
             .map_err(|e| GpuError::Lost(e.to_string()))?
-            .map_err(|e| GpuError::Failed(format!("{}: {e}", buffer.label)))?;
-        let view = staging.get_mapped_range(..).map_err(|e| GpuError::Failed(format!("{}: {e}", buffer.label)))?;
-        Ok(bytemuck::pod_collect_to_vec(&view[..len * size_of::<T>()]))
+            .map_err(|e| GpuError::Failed(format!("{label}: {e}")))?;
+        let view = staging.get_mapped_range(..).map_err(|e| GpuError::Failed(format!("{label}: {e}")))?;
+        Ok(view.to_vec())
     }
 }

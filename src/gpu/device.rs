@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 
 use super::bindings::Bindings;
 use super::kernel::Kernel;
@@ -76,8 +76,9 @@ pub(super) enum Fault {
 pub(super) struct Memory {
     now: AtomicU64,
     peak: AtomicU64,
+    /// The next of [`Memory::number`].
     numbers: AtomicU64,
-    /// Buffers so far.
+    /// Buffers dropped so far.
     dropped: AtomicU64,
     bindings: Mutex<Bindings>,
 }
@@ -88,19 +89,22 @@ impl Memory {
         self.peak.fetch_max(now, Ordering::Relaxed);
     }
 
-    /// Takes note that a buffer is dropped. Bind groups hold it too: they go at once, or with the next submission where one is
-    /// being made.
+    /// Takes note that a buffer is dropped. Bind groups hold it too: they go at once or, where a submission is just being made,
+    /// with the next one.
     pub(super) fn drop_buffer(&self, bytes: u64) {
         self.now.fetch_sub(bytes, Ordering::Relaxed);
         self.dropped.fetch_add(1, Ordering::Relaxed);
-        if let Ok(mut bindings) = self.bindings.try_lock() {
-            bindings.forget();
+        match self.bindings.try_lock() {
+            Ok(mut bindings) => bindings.forget(),
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner().forget(),
+            Err(TryLockError::WouldBlock) => {}
         }
     }
 
     /// What dispatches bind, for one submission; others wait until it is made.
     pub(super) fn bindings(&self, gpu: &Gpu, params: &[u8]) -> MutexGuard<'_, Bindings> {
-        let mut bindings = self.bindings.lock().unwrap();
+        // Whoever panicked in a submission has left groups that are whole.
+        let mut bindings = self.bindings.lock().unwrap_or_else(PoisonError::into_inner);
         bindings.begin(&gpu.device, &gpu.queue, params, self.dropped.load(Ordering::Relaxed));
         bindings
     }

@@ -6,7 +6,6 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use super::buffer::Buffer;
 use super::device::{Gpu, GpuError};
 
 /// Calls and total time of one kernel.
@@ -53,7 +52,8 @@ impl Timings {
 /// Places for readings of the device's clock within one submission.
 pub(super) struct Stamps {
     pub(super) set: wgpu::QuerySet,
-    ticks: Buffer<u64>,
+    /// No [`super::Buffer`], whose end would let go of what dispatches bind.
+    ticks: wgpu::Buffer,
 }
 
 impl Stamps {
@@ -66,15 +66,22 @@ impl Stamps {
             ty: wgpu::QueryType::Timestamp,
             count: count as u32,
         });
-        Self { set, ticks: gpu.query_results("gpu/ticks", count) }
+        let ticks = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("gpu/ticks"),
+            size: (count * size_of::<u64>()) as u64,
+            usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        Self { set, ticks }
     }
 
     /// Submits what has been encoded, and waits. All readings in seconds.
     pub(super) fn submit(&self, gpu: &Gpu, mut encoder: wgpu::CommandEncoder) -> Result<Vec<f64>, GpuError> {
-        encoder.resolve_query_set(&self.set, 0..self.ticks.len() as u32, &self.ticks.raw, 0);
+        let size = self.ticks.size();
+        encoder.resolve_query_set(&self.set, 0..(size / 8) as u32, &self.ticks, 0);
         gpu.queue.submit([encoder.finish()]);
         let tick = 1e-9 * f64::from(gpu.queue.get_timestamp_period());
-        let ticks = gpu.read(&self.ticks)?;
+        let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&gpu.read_bytes(&self.ticks, size, "gpu/ticks")?);
         // Of the differences alone: the clock itself has more digits than a double.
         Ok(ticks.iter().map(|&t| t.wrapping_sub(ticks[0]) as f64 * tick).collect())
     }

@@ -7,9 +7,11 @@ use super::{FEATURES, MAX_LEVELS, TextureFieldConfig, TextureFieldError, Texture
 use crate::gpu::{AnyBuffer, Buffer, Gpu, GpuError, Kernel, Recorder};
 use crate::ops::exact_sum::ExactSum;
 
-/// Lanes of a workgroup that takes a pixel a lane; and the most pixels for which such workgroups can be counted.
+/// Lanes of a workgroup that takes a pixel a lane.
 const LANES: usize = 256;
-const MAX_CAPACITY: usize = LANES * 65_535;
+/// Workgroups along an axis, at most.
+const MAX_GROUPS: usize = 65_535;
+
 /// How the gradients' work is divided.
 #[derive(Clone, Copy)]
 struct Shares {
@@ -31,6 +33,11 @@ impl Shares {
 
     fn of(gpu: &Gpu) -> Self {
         if gpu.info().wide { Self::MANY_CORES } else { Self::FEW_CORES }
+    }
+
+    /// The most pixels for which workgroups can be counted.
+    fn max_capacity(&self) -> usize {
+        MAX_GROUPS * LANES.min(self.chunk)
     }
 
     /// Of a layer: those that divide its inputs and outputs, vectors of four.
@@ -120,7 +127,7 @@ impl TextureField {
     /// Uploads `params`; errors when they do not fit `config`.
     ///
     /// # Panics
-    /// When the capacity is above 16 million.
+    /// When the capacity is above 4 million.
     pub fn new(
         gpu: &Gpu,
         config: TextureFieldConfig,
@@ -128,9 +135,9 @@ impl TextureField {
         capacity: usize,
     ) -> Result<Self, TextureFieldError> {
         params.validate(&config)?;
-        assert!(capacity <= MAX_CAPACITY, "texture_field: capacity {capacity}");
         let layout = Layout::new(&config);
         let shares = Shares::of(gpu);
+        assert!(capacity <= shares.max_capacity(), "texture_field: capacity {capacity}");
         let (encoded, hidden) = (4 * layout.encoded4 * capacity, 4 * layout.hidden4 * capacity);
         let scratch = |name: &str, len: usize| gpu.zeros::<f32>(&format!("texture_field/{name}"), len);
         Ok(Self {
