@@ -2,7 +2,7 @@
 // them. Each goes to the place that the number of smaller ones tells; no face is twice in a list.
 #import shared/soft_face
 
-#const LANES: u32 = 32u
+const LANES: u32 = 32u;
 
 @group(0) @binding(0) var<uniform> params: SoftParams;
 @group(0) @binding(1) var<storage, read> starts: array<u32>;

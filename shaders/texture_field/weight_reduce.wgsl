@@ -2,8 +2,8 @@
 // the same four weights.
 #const CHUNK: u32 = 256u
 #const SHARERS: u32 = 1u
+#const LANES: u32 = 64u
 
-const LANES: u32 = 64u;
 const PER_GROUP: u32 = LANES / SHARERS;
 
 struct Params {

@@ -212,6 +212,7 @@ fn a_stopped_fit_goes_on_from_its_checkpoint() {
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 20)), ..Witness::default() };
     let stopped = run(&gpu, &clip_made, folder.path(), &mut witness);
     assert!(matches!(stopped, Err(PipelineError::Stopped(StopReason::Cancel))), "{stopped:?}");
+    assert!(checkpoint(folder.path()).exists());
     assert!(gpu.peak_bytes() > before);
     assert_eq!(gpu.bytes(), before, "the device's memory is free again");
     let fresh = Start::new(&gpu, 12).state;
@@ -235,6 +236,22 @@ fn a_stopped_fit_goes_on_from_its_checkpoint() {
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 2)), ..Witness::default() };
     run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
     assert!(witness.heard.iter().any(|p| p.stage == Stage::Geometry && p.step == 1));
+}
+
+#[test]
+fn a_resumed_stage_holds_joints_near_where_it_had_begun() {
+    const ELBOW_X: usize = 3 * 18;
+    let Some(gpu) = gpu("a_resumed_stage_holds_joints_near_where_it_had_begun") else { return };
+    let start = Start::new(&gpu, 12);
+    // As after a first step; the left elbow, a hinge that does not bend there, began elsewhere in the second.
+    let resumed = FitState { step: 1, ..start.state.clone() };
+    let mut elsewhere = resumed.clone();
+    elsewhere.stage_poses.chunks_mut(72).for_each(|pose| pose[ELBOW_X] += 0.2);
+    let [near, far] = [resumed, elsewhere].map(|state| {
+        let fitted = start.fit(&gpu, &short(FitConfig::draft(0)), state).0.unwrap();
+        fitted.poses.chunks(72).map(|pose| pose[ELBOW_X]).sum::<f32>() / fitted.n_frames() as f32
+    });
+    assert!(far - near > 0.02, "{near}, {far} rad");
 }
 
 /// Legs apart in all frames, and the gap between them closed from the crotch to the knees, as where a skirt was fitted.

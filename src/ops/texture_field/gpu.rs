@@ -9,6 +9,8 @@ use crate::ops::exact_sum::ExactSum;
 
 /// Lanes of a workgroup that takes a pixel a lane.
 const LANES: usize = 256;
+/// Lanes of a workgroup that adds up partial sums.
+const REDUCE_LANES: usize = 64;
 /// Workgroups along an axis, at most.
 const MAX_GROUPS: usize = 65_535;
 
@@ -46,9 +48,6 @@ impl Shares {
         [side(inputs4, self.tile[0]), side(outputs4, self.tile[1])]
     }
 }
-
-/// Lanes of the workgroups that add up partial sums.
-const REDUCE_LANES: usize = 64;
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -323,6 +322,7 @@ fn kernels(gpu: &Gpu, layout: &Layout, shares: &Shares) -> Kernels {
     let run = ("RUN", format!("{}u", shares.run));
     let chunk = ("CHUNK", format!("{}u", shares.chunk));
     let sharers = ("SHARERS", format!("{}u", shares.sharers));
+    let reduce_lanes = ("LANES", format!("{REDUCE_LANES}u"));
     let weight_gradient = |layer: usize| {
         let (inputs4, outputs4) = layer4(layout, layer);
         let [tile_i, tile_o] = shares.tile((inputs4, outputs4));
@@ -346,6 +346,6 @@ fn kernels(gpu: &Gpu, layout: &Layout, shares: &Shares) -> Kernels {
         table_gradient: kernel!(gpu, "texture_field/table_gradient", &[encoded4.clone(), run]),
         coords_gradient: kernel!(gpu, "texture_field/coords_gradient", &encoding),
         weight_gradient: [0, 1, 2].map(weight_gradient),
-        weight_reduce: kernel!(gpu, "texture_field/weight_reduce", &[chunk, sharers]),
+        weight_reduce: kernel!(gpu, "texture_field/weight_reduce", &[chunk, sharers, reduce_lanes]),
     }
 }
