@@ -19,19 +19,16 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         return;
     }
     let t = triangle_at(f);
-    let box = pixel_box(t);
-    var x = box.x0;
-    var y = box.y0;
-    while y <= box.y1 {
-        let m = meet(t, ray_at(x, y));
-        let pixel = u32(y) * params.width + u32(x);
-        if covers(m) && ~bitcast<u32>(depth_of(t, m)) + SAME_DEPTH_ULPS >= nearest[pixel] {
+    if is_culled(t, 1.0) {
+        return;
+    }
+    var walk = walk_of(t);
+    while walk_goes_on(walk) {
+        let m = meet(t, ray_at(walk.at.x, walk.at.y));
+        let pixel = u32(walk.at.y) * params.width + u32(walk.at.x);
+        if walk_meets(walk) && covers(m) && ~bitcast<u32>(depth_of(t, m)) + SAME_DEPTH_ULPS >= nearest[pixel] {
             atomicMax(&owner[pixel], params.n_faces - f);
         }
-        x++;
-        if x > box.x1 {
-            x = box.x0;
-            y++;
-        }
+        walk = walk_next(walk);
     }
 }

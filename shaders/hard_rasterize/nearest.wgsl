@@ -27,21 +27,18 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let turns = u32(i.y < i.x) + u32(i.z < low.y) + u32(high.x < low.x);
     let side = select(1.0, -1.0, turns % 2u == 1u);
     let t = Triangle(vertex_at(front.x), vertex_at(front.y), vertex_at(high.y));
-    let box = pixel_box(t);
-    var x = box.x0;
-    var y = box.y0;
-    while y <= box.y1 {
-        var m = meet(t, ray_at(x, y));
+    if is_culled(t, side) {
+        return;
+    }
+    var walk = walk_of(t);
+    while walk_goes_on(walk) {
+        var m = meet(t, ray_at(walk.at.x, walk.at.y));
         m.d *= side;
         m.total *= side;
-        if covers(m) {
+        if walk_meets(walk) && covers(m) {
             let key = (u64(~bitcast<u32>(depth_of(t, m))) << 32u) | u64(params.n_faces - f);
-            atomicMax(&nearest[u32(y) * params.width + u32(x)], key);
+            atomicMax(&nearest[u32(walk.at.y) * params.width + u32(walk.at.x)], key);
         }
-        x++;
-        if x > box.x1 {
-            x = box.x0;
-            y++;
-        }
+        walk = walk_next(walk);
     }
 }

@@ -113,9 +113,11 @@ fn to_byte(x: f32) -> u8 {
 }
 
 impl Tracer {
+    /// Of a closed surface only the faces that look at the camera are drawn, as a viewer of the exported avatar draws them: the
+    /// coverage is the same. Of an open one, both sides.
     pub fn new(gpu: &Arc<Gpu>, faces: &[[u32; 3]], n_vertices: usize) -> Self {
         let corners = Arc::new(Corners::new(gpu, faces, &Topology::new(n_vertices, faces)));
-        let config = HardRasterizeConfig { near: NEAR, cull_back: false };
+        let config = HardRasterizeConfig { near: NEAR, cull_back: Topology::is_closed(faces) };
         Self {
             rasterizer: HardRasterizer::new(gpu, &corners, TILE as usize, config),
             faces: faces.to_vec(),

@@ -88,6 +88,18 @@ impl Topology {
         }
     }
 
+    /// Whether the faces close a volume: along each edge as many of them run one way as the other. A ray that comes and goes then
+    /// meets as many fronts as backs, so that fronts alone cover what all cover.
+    pub fn is_closed(faces: &[[u32; 3]]) -> bool {
+        let mut balance: BTreeMap<[u32; 2], i32> = BTreeMap::new();
+        for &[a, b, c] in faces {
+            for [i, j] in [[a, b], [b, c], [c, a]] {
+                *balance.entry([i.min(j), i.max(j)]).or_default() += if i < j { 1 } else { -1 };
+            }
+        }
+        balance.values().all(|&n| n == 0)
+    }
+
     /// The same mesh, with pairs of those faces alone for which `counts` holds.
     pub fn with_pairs_of(&self, counts: impl Fn(u32) -> bool) -> Self {
         let mut kept = self.clone();
@@ -128,6 +140,16 @@ mod tests {
         assert_eq!(kept.face_pairs, [[1, 2]]);
         assert_eq!(kept.face_neighbours, Rows { starts: vec![0, 0, 1, 2], items: vec![2, 1] });
         assert_eq!((kept.edges, kept.corners), (t.edges, t.corners));
+    }
+
+    #[test]
+    fn a_closed_mesh_has_no_rim_and_no_face_that_is_turned_over() {
+        let tetrahedron = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]];
+        assert!(Topology::is_closed(&tetrahedron));
+        assert!(!Topology::is_closed(&tetrahedron[1..]));
+        let mut turned = tetrahedron;
+        turned[2].swap(0, 1);
+        assert!(!Topology::is_closed(&turned));
     }
 
     #[test]

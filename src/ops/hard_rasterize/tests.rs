@@ -220,6 +220,58 @@ fn the_faces_alone_are_those_of_the_whole_image() {
     }
 }
 
+/// Triangles of all shapes, one at a time: slivers, level edges, edges through pixel centres, corners far outside.
+#[test]
+fn no_triangle_loses_a_pixel() {
+    let Some(gpu) = gpu("hard_rasterize::no_triangle_loses_a_pixel") else { return };
+    let camera = Camera::pinhole(64, 48, [64.0, 64.0, 32.0, 24.0]);
+    let at = |[x, y]: [f64; 2], z: f64| [(x - 32.0) / 64.0 * z, (y - 24.0) / 64.0 * z, z];
+    let random = crate::ops::testing::random(5, 7 * 240);
+    let mut triangles: Vec<[[f64; 2]; 3]> = Vec::new();
+    for (k, r) in random.chunks_exact(7).enumerate() {
+        let [width, height] = [[60.0, 40.0], [60.0, 0.4], [0.4, 40.0], [4.0, 3.0], [9000.0, 7000.0]][k % 5];
+        let middle = [32.0 + 30.0 * r[0], 24.0 + 22.0 * r[1]];
+        triangles.push([1, 3, 5].map(|i| [middle[0] + width * r[i], middle[1] + height * r[i + 1]]));
+    }
+    // Level edges: between the rows' centres, through them, and a hair off them.
+    for y in [10.25, 10.5, 10.500001, 10.499999, 11.0] {
+        triangles.push([[3.2, y], [60.1, y], [20.7, y + 7.3]]);
+        triangles.push([[3.2, y], [60.1, y + 1e-5], [20.7, y - 5.1]]);
+    }
+    let mut covered = 0;
+    for (k, triangle) in triangles.iter().enumerate() {
+        let view: Vec<f64> = triangle.iter().zip([1.0, 1.3, 2.1]).flat_map(|(&p, z)| at(p, z)).collect();
+        let want = cpu::forward(&CONFIG, &camera, &view, &[[0, 1, 2]]);
+        let corners = Arc::new(Corners::new(&gpu, &[[0, 1, 2]], &Topology::new(3, &[[0, 1, 2]])));
+        let view_buffer = gpu.upload("view", &f32s(&view));
+        for wide in [false, gpu.info().wide_atomics] {
+            let op = HardRasterizer::with_passes(&gpu, &corners, camera.n_pixels(), CONFIG, wide);
+            let mut recorder = gpu.recorder("hard_rasterize/test");
+            op.forward_faces(&mut recorder, &camera, &view_buffer);
+            recorder.submit().unwrap();
+            let found = gpu.read(&op.pix_to_face).unwrap();
+            let differ = (0..camera.n_pixels()).filter(|&p| found[p] != want.pix_to_face[p]);
+            // Centres on an edge may fall to either side; of the triangles above those with a level edge have a row of them.
+            let off: Vec<_> =
+                differ.filter(|p| !on_an_edge(triangle, [(p % 64) as f64 + 0.5, (p / 64) as f64 + 0.5])).collect();
+            assert!(off.is_empty(), "triangle {k} {triangle:?}: pixels {off:?}");
+        }
+        covered += want.pix_to_face.iter().filter(|&&f| f == 0).count();
+    }
+    assert!(covered > 20_000, "{covered}");
+}
+
+/// Whether a point lies within a thousandth of a pixel (more for far corners) of an edge's line.
+fn on_an_edge(triangle: &[[f64; 2]; 3], p: [f64; 2]) -> bool {
+    (0..3).any(|k| {
+        let [a, b] = [triangle[k], triangle[(k + 1) % 3]];
+        let along = [b[0] - a[0], b[1] - a[1]];
+        let length = along[0].hypot(along[1]);
+        let away = along[0] * (p[1] - a[1]) - along[1] * (p[0] - a[0]);
+        (away / length).abs() < 1e-3 + 1e-6 * length
+    })
+}
+
 /// Devices without 64-bit atomics take two passes.
 #[test]
 fn two_passes_find_the_nearest_faces_of_the_reference() {
