@@ -35,11 +35,14 @@ fn state_of(model: &Arc<AvatarModel>, spec: &RenderSpec, transl: [f32; 3]) -> Fi
         poses: spec.pose.to_vec(),
         stage_poses: spec.pose.to_vec(),
         transl: transl.to_vec(),
+        stage_transl: transl.to_vec(),
+        run_transl: Vec::new(),
         face_colours: model.face_colours.as_flattened().to_vec(),
         light: model.light,
         texcoords: model.texcoords.as_flattened().to_vec(),
         field: model.texture.clone(),
         texels: None,
+        progress: None,
     }
 }
 

@@ -158,6 +158,7 @@ impl Detail {
             step: 0,
             poses: of(&fitted.poses, N_POSE),
             stage_poses: of(&fitted.stage_poses, N_POSE),
+            stage_transl: of(&fitted.stage_transl, 3),
             transl: of(&fitted.transl, 3),
             field: fitted.field.refined(&before.field, &self.config.field, self.config.seed),
             ..fitted.clone()
@@ -166,8 +167,8 @@ impl Detail {
 
     /// `fitted` with the look of `detailed`.
     pub fn end(fitted: FitState, detailed: FitState) -> FitState {
-        let FitState { poses, stage_poses, transl, .. } = fitted;
-        FitState { poses, stage_poses, transl, ..detailed }
+        let FitState { poses, stage_poses, transl, stage_transl, .. } = fitted;
+        FitState { poses, stage_poses, transl, stage_transl, ..detailed }
     }
 }
 

@@ -10,9 +10,9 @@ use crate::ops::tridiagonal::Tridiagonal;
 pub struct Group {
     pub values: Buffer<f32>,
     pub grads: Buffer<f32>,
-    adam: Adam,
+    pub(super) adam: Adam,
     /// Steps taken, one count a frame (one in all for a group without frames).
-    steps: Vec<u32>,
+    pub(super) steps: Vec<u32>,
     /// Parameters a frame.
     stride: usize,
 }
@@ -60,8 +60,8 @@ impl Group {
 pub struct VertexGroup {
     pub values: Buffer<f32>,
     pub grads: Buffer<f32>,
-    adam: UniformAdam,
-    steps: u32,
+    pub(super) adam: UniformAdam,
+    pub(super) steps: u32,
 }
 
 impl VertexGroup {
@@ -121,7 +121,7 @@ pub struct SmoothCoordinates<P: Spread> {
     solver: P,
     add: Add,
     start: Buffer<f32>,
-    u: Buffer<f32>,
+    pub(super) u: Buffer<f32>,
     grad_u: Buffer<f32>,
     moved: Buffer<f32>,
 }

@@ -8,6 +8,7 @@ pub mod detail;
 mod frame_step;
 mod frames;
 mod groups;
+mod kept;
 mod keypoint_term;
 mod look;
 mod losses;
@@ -87,7 +88,10 @@ pub fn run(
     let n_levels = config.phases().map(|p| p.level + 1).max().unwrap_or(1);
     let frames = frames::upload(gpu, capture, camera, n_levels, config.white());
     let topology = &Topology::new(body.n_vertices(), &body.faces);
-    let scene = Scene::new(gpu, body, topology, frames, camera, &state.transl);
+    if state.run_transl.is_empty() {
+        state.run_transl.clone_from(&state.transl);
+    }
+    let scene = Scene::new(gpu, body, topology, frames, camera, &state.run_transl);
     let inputs = Inputs { body, topology, capture, camera, config };
     let mut outside = Outside { checkpoint, control };
     for (stage, next) in [(Stage::Geometry, Stage::Texture), (Stage::Texture, Stage::Done)] {
@@ -96,6 +100,9 @@ pub fn run(
             outside.control.look(&state);
             state.stage = next;
             state.step = 0;
+            if next == Stage::Done {
+                state.run_transl.clear();
+            }
             state.save(checkpoint)?;
         }
     }
@@ -139,10 +146,22 @@ fn run_stage(
     let config = inputs.config;
     if state.step == 0 {
         state.stage_poses.clone_from(&state.poses);
+        state.stage_transl.clone_from(&state.transl);
     }
     let stage = if state.stage == Stage::Geometry { &config.geometry } else { &config.texture };
-    let mut work = StageWork::new(scene, inputs, state)?;
-    schedule::run(scene, config, &stage.phases, &mut work, state, outside)?;
+    let mut go_on = |begun: &FitState, state: &mut FitState| {
+        let mut work = StageWork::new(scene, inputs, begun)?;
+        schedule::run(scene, config, &stage.phases, &mut work, state, outside)
+    };
+    let begun =
+        state.progress.as_ref().map_or_else(|| state.clone(), |progress| progress.begun.put_into(state.clone()));
+    match go_on(&begun, state) {
+        Err(FitError::Checkpoint(error @ (NpzError::Missing(_) | NpzError::Array { .. }))) => {
+            tracing::warn!(%error, "a checkpoint does not fit the stage, which goes on with optimisers that begin anew");
+            go_on(&state.clone(), state)?;
+        }
+        ended => ended?,
+    }
     if state.stage == Stage::Geometry && !stage.weights.compare_colours() {
         solve_colours(scene, inputs, state)?;
     }

@@ -2,8 +2,10 @@
 
 use std::ops::Range;
 
+use super::FitError;
 use super::config::{FitConfig, Rates};
 use super::groups::{Group, SmoothCoordinates};
+use super::kept::{Keeper, Kept};
 use super::motion::{PLACE_JUMP, POSE_JUMP};
 use super::schedule::Step;
 use super::state::FitState;
@@ -22,13 +24,14 @@ pub struct PoseGroups {
 }
 
 impl PoseGroups {
+    /// The parameters of `state`, whose frames are linked as they were when the stage began.
     pub fn new(gpu: &Gpu, config: &FitConfig, state: &FitState) -> Self {
         let adam = AdamConfig::default();
         let (poses, transl) = (&state.poses, &state.transl);
         let frames = config.pose_smoothing * state.n_frames() as f32;
         let smooth = || {
             let of = |start: &[f32], per_frame, jump| SmoothInTime::new(gpu, start, per_frame, jump, frames);
-            [of(poses, N_JOINTS, POSE_JUMP), of(transl, 1, PLACE_JUMP)]
+            [of(&state.stage_poses, N_JOINTS, POSE_JUMP), of(&state.stage_transl, 1, PLACE_JUMP)]
         };
         Self {
             poses: Group::per_frame(gpu, "poses", poses, 3 * N_JOINTS, adam),
@@ -78,6 +81,19 @@ impl PoseGroups {
     }
 }
 
+impl Kept for PoseGroups {
+    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
+        let parts = [("poses", &mut self.poses), ("transl", &mut self.transl)];
+        for (part, group) in parts {
+            group.keep(keeper, &format!("{name}.{part}"))?;
+        }
+        for (part, smooth) in ["poses", "transl"].iter().zip(self.smooth.iter_mut().flatten()) {
+            smooth.keep(keeper, &format!("{name}.{part}.smooth"))?;
+        }
+        Ok(())
+    }
+}
+
 /// Large steps ([`crate::ops::large_steps`]) along time: the frames are a chain. Where a body leans or how it faces is told by
 /// small differences that neighbouring frames share, while what pixels say of one frame alone is mostly their own raster.
 /// Spread over its neighbours, a frame's gradient keeps the former and loses the latter.
@@ -122,6 +138,14 @@ impl SmoothInTime {
             adam.step(recorder, u, grad_u, 0..u.len(), rate, number);
         });
         recorder.copy(&self.values, self.clip.clone(), values, 0);
+    }
+}
+
+impl Kept for SmoothInTime {
+    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
+        self.smooth.keep(keeper, name)?;
+        keeper.counts(&format!("{name}.steps"), std::slice::from_mut(&mut self.steps))?;
+        self.adam.keep(keeper, name)
     }
 }
 

@@ -42,6 +42,7 @@ pub fn refine_pose(
     assert_eq!(state.n_frames(), 1, "frames");
     state.stage = Stage::Texture;
     state.stage_poses.clone_from(&state.poses);
+    state.stage_transl.clone_from(&state.transl);
     let config = &frozen(config);
     let capture = Capture {
         camera: camera.clone(),

@@ -11,9 +11,10 @@ use rand_pcg::Pcg32;
 use super::FitError;
 use super::config::{FitConfig, FrameSampling, Phase};
 use super::control::{Control, Flow, Pace, StepReport};
+use super::kept::{Arrays, Keeper, Kept};
 use super::losses::Losses;
 use super::scene::Scene;
-use super::state::{FitState, Stage};
+use super::state::{Begun, FitState, Progress, Stage};
 
 /// One step of a stage.
 pub(super) struct Step<'a> {
@@ -29,8 +30,9 @@ pub(super) struct Step<'a> {
 }
 
 /// What a stage does; [`run`] says when.
-pub(super) trait Work {
-    /// Called before the first step of a phase, and before the first one after a resumption.
+pub(super) trait Work: Kept {
+    /// Called before the first step of a phase, with the parameters as they are then; also before the first step after a
+    /// resumption, with the parameters as they were when the phase began.
     fn start_phase(&mut self, phase: &Phase) -> Result<(), FitError>;
 
     /// Records and submits one step.
@@ -48,7 +50,11 @@ pub(super) struct Outside<'a> {
     pub control: &'a mut dyn Control,
 }
 
-/// Runs the phases of a stage from `state.step` on.
+/// What a stage's kept arrays are called.
+const NAME: &str = "stage";
+
+/// Runs the phases of a stage from `state.step` on. Where the state has its progress, `work` stands at the start of the phase that was
+/// interrupted, and goes on as it would have.
 pub(super) fn run(
     scene: &Scene,
     config: &FitConfig,
@@ -62,15 +68,27 @@ pub(super) fn run(
     let steps: u32 = phases.iter().map(of_phase).map(|(passes, each)| passes * each).sum();
     let mut pace = Pace::new();
     let mut number = 0;
+    let (mut progress, resumed) = (state.progress.take(), state.step);
     for (nth, phase) in phases.iter().enumerate() {
         let (passes, each) = of_phase(phase);
-        if number + passes * each <= state.step {
-            number += passes * each;
+        let end = number + passes * each;
+        // A phase that was interrupted after its last step has a pass to end.
+        if end < resumed || (end == resumed && progress.is_none()) {
+            number = end;
             continue;
         }
-        let begun = Instant::now();
-        work.start_phase(phase)?;
-        let started_secs = begun.elapsed().as_secs_f64();
+        let since = Instant::now();
+        let begun = if let Some(Progress { begun, kept }) = progress.take() {
+            work.start_phase(phase)?;
+            work.keep(&mut Keeper::Restore(&scene.gpu, &kept), NAME)?;
+            begun
+        } else {
+            work.read_into(state)?;
+            let begun = Begun::of(state);
+            work.start_phase(phase)?;
+            begun
+        };
+        let started_secs = since.elapsed().as_secs_f64();
         for epoch in 0..passes {
             let mut rng = epoch_rng(config.seed, state.stage, nth, epoch);
             let (order, trust) = match config.frame_sampling {
@@ -91,11 +109,13 @@ pub(super) fn run(
                 work.step(&Step { phase, frames, trust: &trust, rate, number })?;
                 work.losses().count(frames);
                 state.step = number;
-                after_step(scene, work, state, steps, &mut pace, outside)?;
+                after_step(scene, work, state, steps, &begun, &mut pace, outside)?;
             }
-            work.losses().end_pass(scene)?;
+            if number >= resumed {
+                work.losses().end_pass(scene)?;
+            }
         }
-        let secs = begun.elapsed().as_secs_f64();
+        let secs = since.elapsed().as_secs_f64();
         tracing::debug!(stage = ?state.stage, phase = nth, steps = passes * each, started_secs, secs, "a phase has ended");
     }
     work.read_into(state)
@@ -172,6 +192,7 @@ fn after_step(
     work: &mut dyn Work,
     state: &mut FitState,
     steps: u32,
+    begun: &Begun,
     pace: &mut Pace,
     outside: &mut Outside<'_>,
 ) -> Result<(), FitError> {
@@ -179,13 +200,11 @@ fn after_step(
     let due = pace.losses_due() || step == steps;
     let losses = if due { Some(work.losses().report(scene, step)?) } else { None };
     if pace.checkpoint_due() {
-        work.read_into(state)?;
-        state.save(outside.checkpoint)?;
+        checkpoint(scene, work, state, begun, outside.checkpoint)?;
     }
     let report = StepReport { stage: state.stage, step, steps, losses: losses.as_ref() };
     if outside.control.after_step(&report) == Flow::Stop {
-        work.read_into(state)?;
-        state.save(outside.checkpoint)?;
+        checkpoint(scene, work, state, begun, outside.checkpoint)?;
         return Err(FitError::Stopped);
     }
     if outside.control.wants_look() {
@@ -193,6 +212,23 @@ fn after_step(
         outside.control.look(state);
     }
     Ok(())
+}
+
+/// Writes the state with all that the rest of the stage follows from.
+fn checkpoint(
+    scene: &Scene,
+    work: &mut dyn Work,
+    state: &mut FitState,
+    begun: &Begun,
+    path: &Path,
+) -> Result<(), FitError> {
+    work.read_into(state)?;
+    let mut kept = Arrays::new();
+    work.keep(&mut Keeper::Save(&scene.gpu, &mut kept), NAME)?;
+    state.progress = Some(Progress { begun: begun.clone(), kept });
+    let saved = state.save(path);
+    state.progress = None;
+    Ok(saved?)
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use super::FitError;
 use super::Inputs;
 use super::config::{Phase, Preconditioner, Rates, Weights};
 use super::groups::{Group, SmoothCoordinates, VertexGroup};
+use super::kept::{Keeper, Kept};
 use super::losses::Losses;
 use super::mesh_losses::MeshLosses;
 use super::scene::Scene;
@@ -94,5 +95,13 @@ impl Shape {
         state.betas = self.betas.read(&scene.gpu)?;
         state.offsets = self.offsets.read(&scene.gpu)?;
         Ok(())
+    }
+}
+
+impl Kept for Shape {
+    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
+        self.betas.keep(keeper, &format!("{name}.betas"))?;
+        self.offsets.keep(keeper, &format!("{name}.offsets"))?;
+        self.smooth.as_mut().map_or(Ok(()), |smooth| smooth.keep(keeper, &format!("{name}.offsets.smooth")))
     }
 }

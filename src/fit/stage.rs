@@ -5,6 +5,7 @@
 
 use super::config::{FitConfig, Phase, StageConfig};
 use super::frame_step::{BACKGROUND, FrameStep};
+use super::kept::{Keeper, Kept};
 use super::keypoint_term::KeypointTerm;
 use super::look::{FaceColours, Look, Texture};
 use super::losses::{Losses, Term};
@@ -113,6 +114,17 @@ impl<'a> StageWork<'a> {
     /// Whether a phase moves the mesh at all.
     fn moves(&self, phase: &Phase) -> bool {
         self.shape.is_some() || phase.pose_rate != 0.0
+    }
+}
+
+impl Kept for StageWork<'_> {
+    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
+        self.poses.keep(keeper, name)?;
+        if let Some(shape) = &mut self.shape {
+            shape.keep(keeper, name)?;
+        }
+        self.look.keep(keeper, &format!("{name}.look"))?;
+        self.losses.keep(keeper, &format!("{name}.losses"))
     }
 }
 

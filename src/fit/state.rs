@@ -2,13 +2,14 @@
 
 use std::path::Path;
 
+use super::kept::Arrays;
 use crate::body::Body;
 use crate::npz::{Npz, NpzError, NpzWriter};
 use crate::ops::light::Light;
 use crate::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
 
 /// The version of the checkpoint format.
-const VERSION: f64 = 3.0;
+const VERSION: f64 = 4.0;
 
 /// How far a fit has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -55,6 +56,10 @@ pub struct FitState {
     pub stage_poses: Vec<f32>,
     /// `[N, 3]`
     pub transl: Vec<f32>,
+    /// `[N, 3]`: the places that the stage began with.
+    pub stage_transl: Vec<f32>,
+    /// `[N, 3]`: the places that the stages which run one after the other began with; empty outside of a run.
+    pub run_transl: Vec<f32>,
     /// `[F, 3]`, 0…1
     pub face_colours: Vec<f32>,
     /// The colours are in this light.
@@ -64,7 +69,52 @@ pub struct FitState {
     pub field: TextureFieldParams,
     /// Fitted in stage 2 instead of the field, where present.
     pub texels: Option<Texels>,
+    /// Of a stage that was interrupted.
+    pub progress: Option<Progress>,
 }
+
+/// What the rest of a stage follows from, besides the parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Progress {
+    pub(super) begun: Begun,
+    /// What the stage keeps from step to step.
+    pub(super) kept: Arrays,
+}
+
+/// The parameters with which a phase began: its light, its shadows and what it takes for unseen are theirs.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Begun {
+    betas: Vec<f32>,
+    offsets: Vec<f32>,
+    poses: Vec<f32>,
+    transl: Vec<f32>,
+    light: Light,
+}
+
+impl Begun {
+    pub fn of(state: &FitState) -> Self {
+        let FitState { betas, offsets, poses, transl, light, .. } = state.clone();
+        Self { betas, offsets, poses, transl, light }
+    }
+
+    /// `state` as it was when the phase began, as far as that matters.
+    pub fn put_into(&self, state: FitState) -> FitState {
+        let Self { betas, offsets, poses, transl, light } = self.clone();
+        FitState { betas, offsets, poses, transl, light, ..state }
+    }
+
+    fn arrays(&self) -> [(&'static str, &Vec<f32>); 4] {
+        [
+            ("begun_betas", &self.betas),
+            ("begun_offsets", &self.offsets),
+            ("begun_poses", &self.poses),
+            ("begun_transl", &self.transl),
+        ]
+    }
+}
+
+/// Before the names of what a stage keeps, in a checkpoint.
+const KEPT: &str = "kept.";
 
 impl FitState {
     /// The start: the body of stage 0, no offsets, grey faces, texture coordinates from the mean body's surface.
@@ -85,10 +135,13 @@ impl FitState {
             poses: poses.concat(),
             stage_poses: poses.concat(),
             transl: transl.concat(),
+            stage_transl: transl.concat(),
+            run_transl: Vec::new(),
             face_colours: vec![0.5; body.n_faces() * 3],
             light: Light::EVEN,
             field: TextureFieldParams::random(&field, seed),
             texels: None,
+            progress: None,
         }
     }
 
@@ -114,12 +167,18 @@ impl FitState {
         npz.add("version", &[], &[VERSION])?;
         npz.add("stage", &[], &[stage])?;
         npz.add("step", &[], &[self.step])?;
-        let Light { ambient, strength, direction, occlusion, slope } = self.light;
-        npz.add("light", &[3, 3], [ambient, strength, direction].as_flattened())?;
-        npz.add("light_occlusion", &[], &[occlusion])?;
-        npz.add("light_slope", &[3], &slope)?;
+        npz.add("light", &[LIGHT], &light_numbers(&self.light))?;
         for (name, data) in self.arrays() {
             npz.add(name, &[data.len()], data)?;
+        }
+        if let Some(Progress { begun, kept }) = &self.progress {
+            npz.add("begun_light", &[LIGHT], &light_numbers(&begun.light))?;
+            for (name, data) in begun.arrays() {
+                npz.add(name, &[data.len()], data)?;
+            }
+            for (name, data) in kept {
+                npz.add(&format!("{KEPT}{name}"), &[data.len()], data)?;
+            }
         }
         let file = npz.finish()?.into_inner().map_err(|e| e.into_error())?;
         file.as_file().sync_all()?;
@@ -134,6 +193,7 @@ impl FitState {
             ("poses", &self.poses),
             ("stage_poses", &self.stage_poses),
             ("transl", &self.transl),
+            ("stage_transl", &self.stage_transl),
             ("face_colours", &self.face_colours),
             ("texcoords", &self.texcoords),
             ("field_table", &self.field.table),
@@ -142,6 +202,7 @@ impl FitState {
             ("field_w2", &self.field.w2),
         ];
         arrays.extend(self.texels.as_ref().map(|texels| ("texels", &texels.values)));
+        arrays.extend((!self.run_transl.is_empty()).then_some(("run_transl", &self.run_transl)));
         arrays
     }
 
@@ -159,12 +220,7 @@ impl FitState {
             _ => Stage::Done,
         };
         state.step = npz.scalar("step")? as u32;
-        let light = npz.shaped("light", &[3, 3])?.f32();
-        let [ambient, strength, direction] = [0, 1, 2].map(|row| [0, 1, 2].map(|k| light[3 * row + k]));
-        // Both are absent in files of before they were told.
-        let occlusion = npz.scalar("light_occlusion").unwrap_or_default() as f32;
-        let slope = npz.shaped("light_slope", &[3]).map_or([0.0; 3], |slope| std::array::from_fn(|k| slope.f32()[k]));
-        state.light = Light { ambient, strength, direction, occlusion, slope };
+        state.light = light_in(&npz, "light")?;
         let mut whole = true;
         let mut take = |name: &str, into: &mut Vec<f32>| -> Result<(), NpzError> {
             let array = npz.get(name)?.f32();
@@ -177,6 +233,11 @@ impl FitState {
         take("poses", &mut state.poses)?;
         take("stage_poses", &mut state.stage_poses)?;
         take("transl", &mut state.transl)?;
+        take("stage_transl", &mut state.stage_transl)?;
+        if npz.arrays.contains_key("run_transl") {
+            state.run_transl = state.transl.clone();
+            take("run_transl", &mut state.run_transl)?;
+        }
         take("face_colours", &mut state.face_colours)?;
         take("texcoords", &mut state.texcoords)?;
         take("field_table", &mut state.field.table)?;
@@ -186,8 +247,35 @@ impl FitState {
         if let Some(texels) = &mut state.texels {
             take("texels", &mut texels.values)?;
         }
+        if npz.arrays.contains_key("begun_light") {
+            let mut begun = Begun::of(&state);
+            begun.light = light_in(&npz, "begun_light")?;
+            take("begun_betas", &mut begun.betas)?;
+            take("begun_offsets", &mut begun.offsets)?;
+            take("begun_poses", &mut begun.poses)?;
+            take("begun_transl", &mut begun.transl)?;
+            let named = npz.arrays.iter().filter_map(|(name, array)| Some((name.strip_prefix(KEPT)?, array)));
+            let kept: Arrays = named.map(|(name, array)| (name.to_owned(), array.f32())).collect();
+            whole &= begun.light.is_sound() && kept.values().flatten().all(|x| x.is_finite());
+            state.progress = Some(Progress { begun, kept });
+        }
         Ok((whole && state.light.is_sound()).then_some(state))
     }
+}
+
+/// Numbers of a light.
+const LIGHT: usize = 13;
+
+fn light_numbers(light: &Light) -> Vec<f32> {
+    let Light { ambient, strength, direction, occlusion, slope } = *light;
+    [&ambient[..], &strength, &direction, &slope, &[occlusion]].concat()
+}
+
+fn light_in(npz: &Npz, name: &str) -> Result<Light, NpzError> {
+    let numbers = npz.shaped(name, &[LIGHT])?.f32();
+    let three = |at: usize| std::array::from_fn(|k| numbers[at + k]);
+    let [ambient, strength, direction, slope] = [0, 3, 6, 9].map(three);
+    Ok(Light { ambient, strength, direction, occlusion: numbers[12], slope })
 }
 
 /// The mean body's vertices in the T-pose, scaled evenly into the unit cube with a margin in which learned coordinates

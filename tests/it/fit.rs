@@ -13,6 +13,7 @@ use effigy::fit::stage0::{self, Stage0Options};
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport, Texels};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
+use effigy::npz::{Npz, NpzWriter};
 use effigy::worker::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput};
 use effigy::worker::pipeline::{Preview, Progress, Stage, StopReason};
 
@@ -236,6 +237,72 @@ fn a_stopped_fit_goes_on_from_its_checkpoint() {
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 2)), ..Witness::default() };
     run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
     assert!(witness.heard.iter().any(|p| p.stage == Stage::Geometry && p.step == 1));
+}
+
+/// Stops a fit after so many steps, and writes down which they were.
+struct Stopper {
+    after: usize,
+    heard: Vec<u32>,
+}
+
+impl Stopper {
+    fn new(after: usize) -> Self {
+        Self { after, heard: Vec::new() }
+    }
+}
+
+impl Control for Stopper {
+    fn after_step(&mut self, report: &StepReport<'_>) -> Flow {
+        self.heard.push(report.step);
+        if self.heard.len() == self.after { Flow::Stop } else { Flow::Continue }
+    }
+}
+
+/// Bit by bit, wherever it is stopped: in a pass, at the end of one, of a phase or of a stage.
+#[test]
+fn a_fit_that_is_stopped_again_and_again_ends_as_one_that_is_not() {
+    let Some(gpu) = gpu("a_fit_that_is_stopped_again_and_again_ends_as_one_that_is_not") else { return };
+    let start = Start::new(&gpu, 6);
+    for (config, after) in [(FitConfig::standard(3), 2), (FitConfig::paper(3), 3)] {
+        let (config, folder) = (short(config), tempfile::tempdir().unwrap());
+        let whole = start.fit(&gpu, &config, start.state.clone()).0.unwrap();
+        let path = folder.path().join("checkpoint.npz");
+        let (mut state, mut stops) = (start.state.clone(), 0);
+        let ended = loop {
+            let Start { body, capture, camera, .. } = &start;
+            match fit::run(&gpu, body, capture, camera, &config, state, &path, &mut Stopper::new(after)) {
+                Err(FitError::Stopped) => state = start.state.resume(&path).unwrap().unwrap(),
+                ended => break ended.unwrap(),
+            }
+            stops += 1;
+        };
+        assert!(stops > 4, "{stops}");
+        assert!(ended == whole, "a fit that was stopped {stops} times ends otherwise");
+    }
+}
+
+/// As one of another version of the program may be.
+#[test]
+fn a_checkpoint_without_an_optimiser_is_gone_on_from_all_the_same() {
+    let Some(gpu) = gpu("a_checkpoint_without_an_optimiser_is_gone_on_from_all_the_same") else { return };
+    let (start, folder) = (Start::new(&gpu, 6), tempfile::tempdir().unwrap());
+    let (config, path) = (short(FitConfig::draft(0)), folder.path().join("checkpoint.npz"));
+    let Start { body, capture, camera, state } = &start;
+    let run =
+        |state: FitState, stopper: &mut Stopper| fit::run(&gpu, body, capture, camera, &config, state, &path, stopper);
+    assert!(matches!(run(state.clone(), &mut Stopper::new(3)), Err(FitError::Stopped)));
+    let whole = Npz::open(&path).unwrap();
+    let mut writer = NpzWriter::new(std::fs::File::create(&path).unwrap());
+    let (gone, rest): (Vec<_>, Vec<_>) = whole.arrays.iter().partition(|(name, _)| name.ends_with("betas.exp_avg"));
+    assert_eq!(gone.len(), 1);
+    for (name, array) in rest {
+        writer.add(name, &array.shape, &array.f32()).unwrap();
+    }
+    writer.finish().unwrap();
+    let resumed = state.resume(&path).unwrap().unwrap();
+    let mut stopper = Stopper::new(usize::MAX);
+    assert_eq!(run(resumed, &mut stopper).unwrap().stage, fit::Stage::Done);
+    assert_eq!(stopper.heard[0], 4);
 }
 
 #[test]
@@ -529,6 +596,7 @@ fn a_pose_is_refined_on_its_picture_while_the_avatar_stands() {
     assert!(far(&refined) < 0.4 * far(&alone), "{} of {} m are left", far(&refined), far(&alone));
     let stood = FitState {
         stage_poses: alone.poses.clone(),
+        stage_transl: alone.transl.clone(),
         poses: alone.poses,
         transl: alone.transl,
         stage: refined.stage,

@@ -4,6 +4,7 @@ use super::{Lit, Look, cast_shadows, solve_face_colours};
 use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::groups::Group;
+use crate::fit::kept::{Keeper, Kept};
 use crate::fit::losses::Losses;
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
@@ -58,6 +59,12 @@ impl FaceColours {
             compared: config.geometry.weights.compare_colours(),
             solved: config.solve_face_colours,
         }
+    }
+}
+
+impl Kept for FaceColours {
+    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
+        self.colours.keep(keeper, &format!("{name}.face_colours"))
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::fit::FitError;
 use crate::fit::config::FitConfig;
+use crate::fit::kept::{Keeper, Kept};
 use crate::fit::state::FitState;
 use crate::gpu::{Buffer, Gpu, Recorder};
 use crate::ops::adam::{Adam, AdamConfig};
@@ -92,5 +93,18 @@ impl TextureModel {
             (Self::Texels { .. }, None) => {}
         }
         Ok(())
+    }
+}
+
+impl Kept for TextureModel {
+    /// The moments; the parameters are the state's.
+    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
+        match self {
+            Self::Hash { table, weights, .. } => {
+                table.keep(keeper, &format!("{name}.table"))?;
+                weights.keep(keeper, &format!("{name}.weights"))
+            }
+            Self::Texels { adam, .. } => adam.keep(keeper, &format!("{name}.texels")),
+        }
     }
 }

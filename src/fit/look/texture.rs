@@ -11,6 +11,7 @@ use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::frames::{DeviceFrame, FrameLevel};
 use crate::fit::groups::Group;
+use crate::fit::kept::{Keeper, Kept};
 use crate::fit::losses::Losses;
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
@@ -169,6 +170,14 @@ impl Texture {
 
     fn faces<'a>(&'a self, scene: &'a Scene) -> &'a Buffer<u32> {
         self.uv_faces.as_ref().unwrap_or(&scene.corners.faces)
+    }
+}
+
+impl Kept for Texture {
+    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
+        keeper.counts(&format!("{name}.steps"), std::slice::from_mut(&mut self.steps))?;
+        self.texcoords.keep(keeper, &format!("{name}.texcoords"))?;
+        self.model.keep(keeper, name)
     }
 }
 
