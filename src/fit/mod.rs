@@ -14,6 +14,7 @@ mod look;
 mod losses;
 mod mesh_losses;
 mod motion;
+pub mod pelvis;
 mod poses;
 mod refine;
 mod scene;

@@ -158,7 +158,7 @@ impl FitState {
     pub fn save(&self, path: &Path) -> Result<(), NpzError> {
         let folder = path.parent().unwrap_or(Path::new("."));
         let file = tempfile::NamedTempFile::new_in(folder)?;
-        let mut npz = NpzWriter::new(std::io::BufWriter::new(file));
+        let mut npz = NpzWriter::stored(std::io::BufWriter::new(file));
         let stage = match self.stage {
             Stage::Geometry => 1,
             Stage::Texture => 2,

@@ -16,7 +16,7 @@ use crate::fit::covered::Covered;
 use crate::fit::detail::{Closer, Detail};
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, FocalCheck, Stage0Error, Stage0Options, Stage0Result};
-use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
+use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport, pelvis};
 use crate::gpu::Gpu;
 use crate::jobs::{JobOptions, Preset};
 use crate::quality;
@@ -94,6 +94,9 @@ pub fn run(
         config.field = detail.config.field;
         // Sums over other pictures are no part of the same curves.
         monitor.curves.truncate(n_losses);
+    }
+    if capture.poses.is_none() {
+        pelvis::settle(&mut body, &state.betas, &state.poses, &mut state.transl);
     }
     let done = export::Fitted { body, capture, measures, focal, start, state, covered, skirt, detail, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)
