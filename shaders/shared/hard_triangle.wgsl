@@ -141,8 +141,11 @@ fn walk_row(before: Walk, y: i32) -> Walk {
     let low = ceil(min(left.x, min(left.y, left.z)) - 0.5 - before.slack);
     let high = floor(max(right.x, max(right.y, right.z)) - 0.5 + before.slack);
     var walk = before;
-    walk.at = vec2<i32>(i32(clamp(low, f32(before.box.x0), f32(before.box.x1))), y);
-    walk.end = i32(clamp(high, f32(before.box.x0) - 1.0, f32(before.box.x1)));
+    // Whole numbers once more: corners that are not finite may give anything before.
+    let x0 = f32(before.box.x0);
+    let x1 = f32(before.box.x1);
+    walk.at = vec2<i32>(clamp(i32(clamp(low, x0, x1)), before.box.x0, before.box.x1), y);
+    walk.end = min(i32(clamp(high, x0 - 1.0, x1)), before.box.x1);
     return walk;
 }
 

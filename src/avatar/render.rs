@@ -144,7 +144,7 @@ pub struct Renderer {
 impl Renderer {
     pub fn new(gpu: &Arc<Gpu>, model: &Arc<AvatarModel>) -> Result<Self, RenderError> {
         Ok(Self {
-            tracer: Tracer::new(gpu, &model.body.faces, model.body.n_vertices()),
+            tracer: Tracer::new(gpu, &model.body.faces, &model.body.v_template),
             texture: SurfaceTexture::new(gpu, model)?,
             gpu: gpu.clone(),
             model: model.clone(),

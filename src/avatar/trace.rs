@@ -113,11 +113,13 @@ fn to_byte(x: f32) -> u8 {
 }
 
 impl Tracer {
-    /// Of a closed surface only the faces that look at the camera are drawn, as a viewer of the exported avatar draws them: the
-    /// coverage is the same. Of an open one, both sides.
-    pub fn new(gpu: &Arc<Gpu>, faces: &[[u32; 3]], n_vertices: usize) -> Self {
+    /// For meshes of these faces; `vertices` are one of them. Of a closed surface only the faces that look at the camera are drawn, as
+    /// viewers of the exported avatar draw it: the coverage is the same, where all of it lies before the camera. Of any other, both
+    /// sides.
+    pub fn new(gpu: &Arc<Gpu>, faces: &[[u32; 3]], vertices: &[[f32; 3]]) -> Self {
+        let n_vertices = vertices.len();
         let corners = Arc::new(Corners::new(gpu, faces, &Topology::new(n_vertices, faces)));
-        let config = HardRasterizeConfig { near: NEAR, cull_back: Topology::is_closed(faces) };
+        let config = HardRasterizeConfig { near: NEAR, cull_back: Topology::looks_out(vertices, faces) };
         Self {
             rasterizer: HardRasterizer::new(gpu, &corners, TILE as usize, config),
             faces: faces.to_vec(),
@@ -330,7 +332,7 @@ mod tests {
     fn coverage_at_an_edge_is_the_covered_part_of_the_pixel() {
         let Some(gpu) = gpu("trace::coverage_at_an_edge_is_the_covered_part_of_the_pixel") else { return };
         let (vertices, faces) = square(2.0);
-        let tracer = Tracer::new(&gpu, &faces, 4);
+        let tracer = Tracer::new(&gpu, &faces, &vertices);
         // 64 px, focal length 89.6: the edges lie at 32 ± 22.4 px.
         let picture =
             tracer.trace(&vertices, &camera(64), 5, Shading::Samples, |p| Ok(vec![[1.0, 0.5, 0.0]; p.len()])).unwrap();
@@ -347,7 +349,7 @@ mod tests {
     fn tiles_meet_without_a_seam() {
         let Some(gpu) = gpu("trace::tiles_meet_without_a_seam") else { return };
         let (vertices, faces) = square(1.0);
-        let tracer = Tracer::new(&gpu, &faces, 4);
+        let tracer = Tracer::new(&gpu, &faces, &vertices);
         // The square's faces are larger than the picture and than what a loop may do: tiles of up to 480 × 120 samples.
         let whole = camera(280);
         let (mut seen, mut calls) = (0, 0);
@@ -369,7 +371,7 @@ mod tests {
         let (behind, more) = square(3.0);
         vertices.extend(behind.iter().map(|[x, y, z]| [x + 0.53, *y, *z]));
         faces.extend(more.iter().map(|f| f.map(|v| v + 4)));
-        let tracer = Tracer::new(&gpu, &faces, vertices.len());
+        let tracer = Tracer::new(&gpu, &faces, &vertices);
         let by_square = |points: &[SurfacePoint]| Ok(points.iter().map(|p| [(p.face / 2) as f32, 0.5, 0.0]).collect());
         let mut asked = [0; 2];
         let [samples, once] = [Shading::Samples, Shading::Surfaces].map(|shading| {
@@ -415,7 +417,7 @@ mod tests {
     fn nothing_in_view_gives_an_empty_picture() {
         let Some(gpu) = gpu("trace::nothing_in_view_gives_an_empty_picture") else { return };
         let model = turning_avatar();
-        let tracer = Tracer::new(&gpu, &model.body.faces, model.body.n_vertices());
+        let tracer = Tracer::new(&gpu, &model.body.faces, &model.body.v_template);
         for transl in [[0.0, 0.0, -3.0], [50.0, 0.0, 3.0]] {
             let vertices = model.posed(&model.poses[0], transl).vertices;
             let picture =

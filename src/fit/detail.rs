@@ -160,6 +160,8 @@ impl Detail {
             stage_poses: of(&fitted.stage_poses, N_POSE),
             stage_transl: of(&fitted.stage_transl, 3),
             transl: of(&fitted.transl, 3),
+            run_transl: Vec::new(),
+            progress: None,
             field: fitted.field.refined(&before.field, &self.config.field, self.config.seed),
             ..fitted.clone()
         }
@@ -347,7 +349,8 @@ mod tests {
             (0..3).map(|k| std::array::from_fn(|i| if i == 1 { 0.1 * k as f32 } else { 0.0 })).collect();
         // The camera's y points down: upside down, and in the middle of the picture.
         let transl = [[0.0, 0.0, 2.0]; 3];
-        let fitted = FitState::new(&body, vec![0.0; body.n_betas], &poses, &transl, config.field, 1);
+        let mut fitted = FitState::new(&body, vec![0.0; body.n_betas], &poses, &transl, config.field, 1);
+        fitted.run_transl = fitted.transl.clone();
         let closer = Closer::to(&capture).unwrap();
         let mut large = self::capture(3, 240, 240, 200);
         large.frames.remove(1);
@@ -365,6 +368,7 @@ mod tests {
         assert!(detail.config.field.n_levels > 3 && detail.config.field.log2_hashmap_size == LOG2_HASHMAP_SIZE);
         let start = detail.start(&fitted, &config);
         assert_eq!((start.n_frames(), start.stage), (4, Stage::Texture));
+        assert!(start.run_transl.is_empty(), "a run of its own");
         assert_eq!((start.poses[1], start.poses[2 * N_POSE + 1]), (0.0, 0.2));
         start.field.validate(&detail.config.field).unwrap();
         let end =

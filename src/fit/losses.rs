@@ -106,8 +106,8 @@ impl Losses {
         Ok(Sums { values, visits: self.visits.iter().sum() })
     }
 
-    /// Ends a pass: [`frame_errors`](Self::frame_errors) are its, and the slots start anew. Nothing is known of a pass
-    /// that was gone through before a resumption. Waits.
+    /// Ends a pass: [`frame_errors`](Self::frame_errors) are its, and the slots start anew. Nothing changes where no
+    /// frame has been counted. Waits.
     pub fn end_pass(&mut self, scene: &Scene) -> Result<(), FitError> {
         if self.visits.iter().all(|&n| n == 0) {
             return Ok(());

@@ -89,7 +89,7 @@ pub fn run(
     let n_levels = config.phases().map(|p| p.level + 1).max().unwrap_or(1);
     let frames = frames::upload(gpu, capture, camera, n_levels, config.white());
     let topology = &Topology::new(body.n_vertices(), &body.faces);
-    if state.run_transl.is_empty() {
+    if state.run_transl.is_empty() && state.stage != Stage::Done {
         state.run_transl.clone_from(&state.transl);
     }
     let scene = Scene::new(gpu, body, topology, frames, camera, &state.run_transl);
@@ -150,16 +150,20 @@ fn run_stage(
         state.stage_transl.clone_from(&state.transl);
     }
     let stage = if state.stage == Stage::Geometry { &config.geometry } else { &config.texture };
-    let mut go_on = |begun: &FitState, state: &mut FitState| {
-        let mut work = StageWork::new(scene, inputs, begun)?;
+    let mut go_on = |begun: FitState, state: &mut FitState| {
+        let mut work = StageWork::new(scene, inputs, &begun)?;
+        drop(begun);
         schedule::run(scene, config, &stage.phases, &mut work, state, outside)
     };
-    let begun =
-        state.progress.as_ref().map_or_else(|| state.clone(), |progress| progress.begun.put_into(state.clone()));
-    match go_on(&begun, state) {
+    let now = |state: &FitState| FitState { progress: None, ..state.clone() };
+    let begun = match &state.progress {
+        Some(progress) => progress.begun.clone().put_into(now(state)),
+        None => now(state),
+    };
+    match go_on(begun, state) {
         Err(FitError::Checkpoint(error @ (NpzError::Missing(_) | NpzError::Array { .. }))) => {
             tracing::warn!(%error, "a checkpoint does not fit the stage, which goes on with optimisers that begin anew");
-            go_on(&state.clone(), state)?;
+            go_on(now(state), state)?;
         }
         ended => ended?,
     }

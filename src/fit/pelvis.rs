@@ -18,6 +18,9 @@ const JOINTS_OFF: f64 = 5e-3;
 /// Moves the pelvis joint of `body` to where it is expected, for a person of `betas`. Places `transl [N, 3]` follow, so that the body in
 /// `poses [N, 72]` stays where it is.
 pub fn settle(body: &mut Body, betas: &[f32], poses: &[f32], transl: &mut [f32]) {
+    if body.n_betas == 0 {
+        return;
+    }
     let found = joints(body, betas);
     let moved = middle(&found) + expected(body, &found) - found[0];
     (0..3).for_each(|axis| body.j_template[0][axis] += moved[axis]);

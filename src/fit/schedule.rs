@@ -158,7 +158,7 @@ fn trust(errors: &[Option<f32>]) -> Vec<f32> {
 
 /// As many frames as there are, each as often as its error is of the mean, bounded to half and twice (systematic
 /// sampling). Frames that cannot be explained come as rarely as the best: looking at them again teaches nothing. Frames
-/// without an error count as the mean, so the first epoch after a resumption sees each once.
+/// without an error count as the mean, so the first epoch of a stage sees each once.
 fn sampled(errors: &[Option<f32>], trust: &[f32], rng: &mut Pcg32) -> Vec<usize> {
     let trusted = || errors.iter().zip(trust).filter(|(_, trust)| **trust == 1.0).filter_map(|(error, _)| *error);
     let mean = (trusted().sum::<f32>() / trusted().count().max(1) as f32).max(f32::MIN_POSITIVE);

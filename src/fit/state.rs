@@ -93,13 +93,18 @@ pub(super) struct Begun {
 
 impl Begun {
     pub fn of(state: &FitState) -> Self {
-        let FitState { betas, offsets, poses, transl, light, .. } = state.clone();
-        Self { betas, offsets, poses, transl, light }
+        Self {
+            betas: state.betas.clone(),
+            offsets: state.offsets.clone(),
+            poses: state.poses.clone(),
+            transl: state.transl.clone(),
+            light: state.light,
+        }
     }
 
     /// `state` as it was when the phase began, as far as that matters.
-    pub fn put_into(&self, state: FitState) -> FitState {
-        let Self { betas, offsets, poses, transl, light } = self.clone();
+    pub fn put_into(self, state: FitState) -> FitState {
+        let Self { betas, offsets, poses, transl, light } = self;
         FitState { betas, offsets, poses, transl, light, ..state }
     }
 
@@ -213,7 +218,7 @@ impl FitState {
         if npz.scalar("version")? != VERSION {
             return Ok(None);
         }
-        let mut state = self.clone();
+        let mut state = Self { run_transl: Vec::new(), progress: None, ..self.clone() };
         state.stage = match npz.scalar("stage")? as u32 {
             1 => Stage::Geometry,
             2 => Stage::Texture,

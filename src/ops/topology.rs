@@ -100,6 +100,15 @@ impl Topology {
         balance.values().all(|&n| n == 0)
     }
 
+    /// Whether a mesh [closes](Self::is_closed) a volume that its faces look out of.
+    pub fn looks_out(vertices: &[[f32; 3]], faces: &[[u32; 3]]) -> bool {
+        let volume = |face: &[u32; 3]| -> f64 {
+            let [a, b, c] = face.map(|v| glam::DVec3::from_array(vertices[v as usize].map(f64::from)));
+            a.dot(b.cross(c))
+        };
+        Self::is_closed(faces) && faces.iter().map(volume).sum::<f64>() > 0.0
+    }
+
     /// The same mesh, with pairs of those faces alone for which `counts` holds.
     pub fn with_pairs_of(&self, counts: impl Fn(u32) -> bool) -> Self {
         let mut kept = self.clone();
@@ -150,6 +159,11 @@ mod tests {
         let mut turned = tetrahedron;
         turned[2].swap(0, 1);
         assert!(!Topology::is_closed(&turned));
+        let corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]];
+        let inwards = tetrahedron.map(|[a, b, c]| [a, c, b]);
+        let out = [&tetrahedron, &inwards].map(|faces| Topology::looks_out(&corners, faces));
+        assert_eq!(out, [true, false]);
+        assert!(!Topology::looks_out(&corners, &tetrahedron[1..]));
     }
 
     #[test]

@@ -96,7 +96,7 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
     let truth = Mesh { vertices: self::cube(settings.squares, settings.dent).vertices, ..cube.clone() };
     let colours = colours(&cube, &mut rng);
     let cameras: Vec<Camera> = (0..settings.views).map(|i| camera(settings.size_px, i, settings.views)).collect();
-    let painter = Painter::new(gpu, &cube.faces, cube.vertices.len(), &colours);
+    let painter = Painter::new(gpu, &cube.faces, &cube.vertices, &colours);
     let targets = cameras.iter().map(|c| painter.textured(&truth.vertices, c)).collect::<Result<Vec<_>>>()?;
     let fit = |what: &str, rgb: bool| {
         (context.say)(what);

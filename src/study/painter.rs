@@ -22,8 +22,9 @@ pub struct Painter<'a> {
 }
 
 impl<'a> Painter<'a> {
-    pub fn new(gpu: &Arc<Gpu>, faces: &'a [[u32; 3]], n_vertices: usize, colours: &'a [[f32; 3]]) -> Self {
-        Self { tracer: Tracer::new(gpu, faces, n_vertices), faces, colours }
+    /// `vertices` are those of one of the meshes.
+    pub fn new(gpu: &Arc<Gpu>, faces: &'a [[u32; 3]], vertices: &[[f32; 3]], colours: &'a [[f32; 3]]) -> Self {
+        Self { tracer: Tracer::new(gpu, faces, vertices), faces, colours }
     }
 
     pub fn textured(&self, vertices: &[[f32; 3]], camera: &Camera) -> Result<Picture> {

@@ -166,7 +166,7 @@ impl Person {
     pub fn lit(&self, mesh: &Mesh, camera: &Camera, size_px: u32) -> Result<RgbImage> {
         // From the left, above and before the person; y runs down.
         let light = Vec3::new(-0.8, -0.45, -0.4).normalize();
-        let tracer = Tracer::new(&self.gpu, &mesh.faces, mesh.vertices.len());
+        let tracer = Tracer::new(&self.gpu, &mesh.faces, &mesh.vertices);
         let normals = vertex_normals(&mesh.vertices, &mesh.faces);
         let shade = |point: &crate::avatar::SurfacePoint| {
             let corners = mesh.faces[point.face as usize];

@@ -351,7 +351,7 @@ impl<'a> Refiner<'a> {
 
     fn figure(&self, rows: &[Vec<Placed>]) -> Result<RgbImage> {
         let Truth { body, capture, .. } = self.truth;
-        let painter = Painter::new(self.gpu, &body.faces, body.n_vertices(), &self.colours);
+        let painter = Painter::new(self.gpu, &body.faces, &body.v_template, &self.colours);
         let picture = |at: &Placed| Ok(on_white(&painter.textured(&self.truth.posed(at).vertices, &capture.camera)?));
         let rows = rows.iter().map(|row| row.iter().map(picture).collect()).collect::<Result<Vec<Vec<_>>>>()?;
         Ok(sheet(&rows))

@@ -165,7 +165,7 @@ fn start(person: &Person, config: &FitConfig, model: Model) -> Result<Fitted> {
 fn pictures(person: &Person, fitted: &Fitted, config: &FitConfig, novels: &[Novel]) -> Result<Vec<RgbImage>> {
     let avatar = person.avatar(fitted, config);
     let posed = avatar.mesh(Some(0)).context("a clip has a frame")?;
-    let tracer = Tracer::new(&person.gpu, &posed.faces, posed.vertices.len());
+    let tracer = Tracer::new(&person.gpu, &posed.faces, &posed.vertices);
     let hash = SurfaceTexture::new(&person.gpu, &avatar)?;
     let texel = |texels: &Texels, point: &SurfacePoint| -> [f32; 3] {
         let corners = texels.uv_faces[point.face as usize].map(|c| texels.uvs[c as usize]);

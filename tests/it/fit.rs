@@ -263,7 +263,7 @@ impl Control for Stopper {
 fn a_fit_that_is_stopped_again_and_again_ends_as_one_that_is_not() {
     let Some(gpu) = gpu("a_fit_that_is_stopped_again_and_again_ends_as_one_that_is_not") else { return };
     let start = Start::new(&gpu, 6);
-    for (config, after) in [(FitConfig::standard(3), 2), (FitConfig::paper(3), 3)] {
+    for (config, after) in [(FitConfig::standard(3), 3), (FitConfig::paper(3), 3)] {
         let (config, folder) = (short(config), tempfile::tempdir().unwrap());
         let whole = start.fit(&gpu, &config, start.state.clone()).0.unwrap();
         let path = folder.path().join("checkpoint.npz");
@@ -278,6 +278,8 @@ fn a_fit_that_is_stopped_again_and_again_ends_as_one_that_is_not() {
         };
         assert!(stops > 4, "{stops}");
         assert!(ended == whole, "a fit that was stopped {stops} times ends otherwise");
+        let again = start.fit(&gpu, &config, ended).0.unwrap();
+        assert!(again == whole, "a fit that is done stays as it is");
     }
 }
 

@@ -169,7 +169,7 @@ pub fn synthesise(
     let (low, high) = ys.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), y| (l.min(y), h.max(y)));
     let (camera, centre) = filming.camera(options.size_px, low, high, f64::from(body.shaped_joints(&betas)[0][1]));
     let centre = centre.as_vec3().to_array();
-    let tracer = Tracer::new(gpu, &body.faces, body.n_vertices());
+    let tracer = Tracer::new(gpu, &body.faces, &body.v_template);
     let scene = Scene { body, betas: &betas, dress: &dress, paint, tracer, camera, centre };
     let mut out = FolderWriter::create(folder, options)?;
     out.canonical(body, &dress.rest)?;

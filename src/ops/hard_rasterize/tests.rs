@@ -8,6 +8,7 @@ use crate::ops::testing::{assert_close, assert_gradient, bumpy_surface, f32s, gp
 use crate::ops::topology::Topology;
 
 const CONFIG: HardRasterizeConfig = HardRasterizeConfig { near: 0.05, cull_back: false };
+const CULLED: HardRasterizeConfig = HardRasterizeConfig { cull_back: true, ..CONFIG };
 const CAMERA: Camera = Camera::pinhole(12, 10, [11.0, 12.0, 6.3, 4.8]);
 const TRIANGLE: [f64; 9] = [-0.31, -0.22, 1.1, 0.4, -0.17, 1.4, 0.05, 0.33, 1.9];
 
@@ -104,11 +105,10 @@ fn faces_before_the_near_plane_are_skipped_and_back_faces_when_asked() {
         }
         on_cpu
     };
-    let culled = HardRasterizeConfig { cull_back: true, ..CONFIG };
     // Seen along +z with y down, 0 2 1 runs counter-clockwise for somebody who looks from the front.
     assert!(!drawn(CONFIG, &close, &[[0, 1, 2]]));
     assert!(drawn(CONFIG, &TRIANGLE, &[[0, 1, 2]]) && drawn(CONFIG, &TRIANGLE, &[[0, 2, 1]]));
-    assert!(!drawn(culled, &TRIANGLE, &[[0, 1, 2]]) && drawn(culled, &TRIANGLE, &[[0, 2, 1]]));
+    assert!(!drawn(CULLED, &TRIANGLE, &[[0, 1, 2]]) && drawn(CULLED, &TRIANGLE, &[[0, 2, 1]]));
 }
 
 #[test]
@@ -238,27 +238,52 @@ fn no_triangle_loses_a_pixel() {
         triangles.push([[3.2, y], [60.1, y], [20.7, y + 7.3]]);
         triangles.push([[3.2, y], [60.1, y + 1e-5], [20.7, y - 5.1]]);
     }
-    let mut covered = 0;
+    let orders = [[0, 1, 2], [0, 2, 1], [1, 2, 0], [1, 0, 2], [2, 0, 1], [2, 1, 0]];
+    let mut covered = [0; 2];
     for (k, triangle) in triangles.iter().enumerate() {
         let view: Vec<f64> = triangle.iter().zip([1.0, 1.3, 2.1]).flat_map(|(&p, z)| at(p, z)).collect();
-        let want = cpu::forward(&CONFIG, &camera, &view, &[[0, 1, 2]]);
-        let corners = Arc::new(Corners::new(&gpu, &[[0, 1, 2]], &Topology::new(3, &[[0, 1, 2]])));
         let view_buffer = gpu.upload("view", &f32s(&view));
-        for wide in [false, gpu.info().wide_atomics] {
-            let op = HardRasterizer::with_passes(&gpu, &corners, camera.n_pixels(), CONFIG, wide);
-            let mut recorder = gpu.recorder("hard_rasterize/test");
-            op.forward_faces(&mut recorder, &camera, &view_buffer);
-            recorder.submit().unwrap();
-            let found = gpu.read(&op.pix_to_face).unwrap();
-            let differ = (0..camera.n_pixels()).filter(|&p| found[p] != want.pix_to_face[p]);
-            // Centres on an edge may fall to either side; of the triangles above those with a level edge have a row of them.
-            let off: Vec<_> =
-                differ.filter(|p| !on_an_edge(triangle, [(p % 64) as f64 + 0.5, (p / 64) as f64 + 0.5])).collect();
-            assert!(off.is_empty(), "triangle {k} {triangle:?}: pixels {off:?}");
+        for (config, face) in [(CONFIG, [0, 1, 2]), (CULLED, orders[k % 6])] {
+            let want = cpu::forward(&config, &camera, &view, &[face]);
+            let corners = Arc::new(Corners::new(&gpu, &[face], &Topology::new(3, &[face])));
+            for wide in [false, gpu.info().wide_atomics] {
+                let op = HardRasterizer::with_passes(&gpu, &corners, camera.n_pixels(), config, wide);
+                let mut recorder = gpu.recorder("hard_rasterize/test");
+                op.forward_faces(&mut recorder, &camera, &view_buffer);
+                recorder.submit().unwrap();
+                let found = gpu.read(&op.pix_to_face).unwrap();
+                let differ = (0..camera.n_pixels()).filter(|&p| found[p] != want.pix_to_face[p]);
+                // Centres on an edge may fall to either side; of the triangles above those with a level edge have a row of them.
+                let centre = |p: usize| [(p % 64) as f64 + 0.5, (p / 64) as f64 + 0.5];
+                let off: Vec<_> = differ.filter(|&p| !on_an_edge(triangle, centre(p))).collect();
+                assert!(off.is_empty(), "triangle {k} {triangle:?}, {face:?}: pixels {off:?}");
+            }
+            covered[usize::from(config.cull_back)] += want.pix_to_face.iter().filter(|&&f| f == 0).count();
         }
-        covered += want.pix_to_face.iter().filter(|&&f| f == 0).count();
     }
-    assert!(covered > 20_000, "{covered}");
+    assert!(covered[0] > 20_000 && covered[1] > 5_000, "{covered:?}");
+}
+
+/// Nothing is drawn of what is not finite, and nothing hangs.
+#[test]
+fn corners_that_are_not_finite_end() {
+    let Some(gpu) = gpu("hard_rasterize::corners_that_are_not_finite_end") else { return };
+    let corners = Arc::new(Corners::new(&gpu, &[[0, 1, 2]], &Topology::new(3, &[[0, 1, 2]])));
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e37, -1e37] {
+        for at in 0..9 {
+            let mut view = f32s(&TRIANGLE);
+            view[at] = bad;
+            let view = gpu.upload("view", &view);
+            for wide in [false, gpu.info().wide_atomics] {
+                let op = HardRasterizer::with_passes(&gpu, &corners, CAMERA.n_pixels(), CONFIG, wide);
+                let mut recorder = gpu.recorder("hard_rasterize/test");
+                op.forward_faces(&mut recorder, &CAMERA, &view);
+                recorder.submit().unwrap();
+                let found = gpu.read(&op.pix_to_face).unwrap();
+                assert!(found[..CAMERA.n_pixels()].iter().all(|f| (-1..1).contains(f)), "{bad} at {at}: {found:?}");
+            }
+        }
+    }
 }
 
 /// Whether a point lies within a thousandth of a pixel (more for far corners) of an edge's line.
