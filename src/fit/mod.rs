@@ -86,10 +86,13 @@ pub fn run(
     checkpoint: &Path,
     control: &mut dyn Control,
 ) -> Result<FitState, FitError> {
+    if state.stage == Stage::Done {
+        return Ok(state);
+    }
     let n_levels = config.phases().map(|p| p.level + 1).max().unwrap_or(1);
     let frames = frames::upload(gpu, capture, camera, n_levels, config.white());
     let topology = &Topology::new(body.n_vertices(), &body.faces);
-    if state.run_transl.is_empty() && state.stage != Stage::Done {
+    if state.run_transl.is_empty() {
         state.run_transl.clone_from(&state.transl);
     }
     let scene = Scene::new(gpu, body, topology, frames, camera, &state.run_transl);

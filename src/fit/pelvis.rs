@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::body::{Body, N_JOINTS};
 
-/// Hips, whose middle all places are told from, and the limbs' other joints.
+/// Hips, whose middle all places are told from, and the limbs' joints, hips among them.
 const HIPS: [usize; 2] = [1, 2];
 const LIMBS: [usize; 12] = [1, 2, 4, 5, 7, 8, 16, 17, 18, 19, 20, 21];
 

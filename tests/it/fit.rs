@@ -1,5 +1,7 @@
 //! The pipeline on a small made clip: it recovers the person, stops when asked and goes on from its checkpoint.
 
+mod resume;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -13,7 +15,6 @@ use effigy::fit::stage0::{self, Stage0Options};
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport, Texels};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
-use effigy::npz::{Npz, NpzWriter};
 use effigy::worker::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput};
 use effigy::worker::pipeline::{Preview, Progress, Stage, StopReason};
 
@@ -202,125 +203,6 @@ fn a_wrong_focal_length_is_told_and_replaced() {
         let (taken, expected) = (report["camera"]["fx"].as_f64().unwrap(), if trust { 0.6 * right } else { right });
         assert!((taken / expected - 1.0).abs() < if trust { 1e-6 } else { 0.2 }, "{taken} px, expected {expected}");
     }
-}
-
-#[test]
-fn a_stopped_fit_goes_on_from_its_checkpoint() {
-    let Some(gpu) = gpu("a_stopped_fit_goes_on_from_its_checkpoint") else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let clip_made = input(clip(&gpu));
-    let before = gpu.bytes();
-    let mut witness = Witness { stop_at: Some((Stage::Geometry, 20)), ..Witness::default() };
-    let stopped = run(&gpu, &clip_made, folder.path(), &mut witness);
-    assert!(matches!(stopped, Err(PipelineError::Stopped(StopReason::Cancel))), "{stopped:?}");
-    assert!(checkpoint(folder.path()).exists());
-    assert!(gpu.peak_bytes() > before);
-    assert_eq!(gpu.bytes(), before, "the device's memory is free again");
-    let fresh = Start::new(&gpu, 12).state;
-    let saved = || fresh.resume(&checkpoint(folder.path())).unwrap().unwrap();
-    let first = saved();
-    assert_ne!(first.poses, first.stage_poses);
-
-    let mut witness = Witness { stop_at: Some((Stage::Geometry, 23)), ..Witness::default() };
-    let stopped = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness);
-    assert!(matches!(stopped, Err(PipelineError::Stopped(_))), "{stopped:?}");
-    let steps: Vec<u32> =
-        witness.heard.iter().filter(|p| p.stage == Stage::Geometry && p.step > 0).map(|p| p.step).collect();
-    assert_eq!(steps, [21, 22, 23]);
-    // Joints are held near where the stage began, not near where it was stopped.
-    let second = saved();
-    assert_eq!(second.stage_poses, first.stage_poses);
-    assert_ne!(second.poses, first.poses);
-
-    // Another clip's checkpoint, or a torn one, is not followed.
-    std::fs::write(checkpoint(folder.path()), b"torn").unwrap();
-    let mut witness = Witness { stop_at: Some((Stage::Geometry, 2)), ..Witness::default() };
-    run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
-    assert!(witness.heard.iter().any(|p| p.stage == Stage::Geometry && p.step == 1));
-}
-
-/// Stops a fit after so many steps, and writes down which they were.
-struct Stopper {
-    after: usize,
-    heard: Vec<u32>,
-}
-
-impl Stopper {
-    fn new(after: usize) -> Self {
-        Self { after, heard: Vec::new() }
-    }
-}
-
-impl Control for Stopper {
-    fn after_step(&mut self, report: &StepReport<'_>) -> Flow {
-        self.heard.push(report.step);
-        if self.heard.len() == self.after { Flow::Stop } else { Flow::Continue }
-    }
-}
-
-/// Bit by bit, wherever it is stopped: in a pass, at the end of one, of a phase or of a stage.
-#[test]
-fn a_fit_that_is_stopped_again_and_again_ends_as_one_that_is_not() {
-    let Some(gpu) = gpu("a_fit_that_is_stopped_again_and_again_ends_as_one_that_is_not") else { return };
-    let start = Start::new(&gpu, 6);
-    for (config, after) in [(FitConfig::standard(3), 3), (FitConfig::paper(3), 3)] {
-        let (config, folder) = (short(config), tempfile::tempdir().unwrap());
-        let whole = start.fit(&gpu, &config, start.state.clone()).0.unwrap();
-        let path = folder.path().join("checkpoint.npz");
-        let (mut state, mut stops) = (start.state.clone(), 0);
-        let ended = loop {
-            let Start { body, capture, camera, .. } = &start;
-            match fit::run(&gpu, body, capture, camera, &config, state, &path, &mut Stopper::new(after)) {
-                Err(FitError::Stopped) => state = start.state.resume(&path).unwrap().unwrap(),
-                ended => break ended.unwrap(),
-            }
-            stops += 1;
-        };
-        assert!(stops > 4, "{stops}");
-        assert!(ended == whole, "a fit that was stopped {stops} times ends otherwise");
-        let again = start.fit(&gpu, &config, ended).0.unwrap();
-        assert!(again == whole, "a fit that is done stays as it is");
-    }
-}
-
-/// As one of another version of the program may be.
-#[test]
-fn a_checkpoint_without_an_optimiser_is_gone_on_from_all_the_same() {
-    let Some(gpu) = gpu("a_checkpoint_without_an_optimiser_is_gone_on_from_all_the_same") else { return };
-    let (start, folder) = (Start::new(&gpu, 6), tempfile::tempdir().unwrap());
-    let (config, path) = (short(FitConfig::draft(0)), folder.path().join("checkpoint.npz"));
-    let Start { body, capture, camera, state } = &start;
-    let run =
-        |state: FitState, stopper: &mut Stopper| fit::run(&gpu, body, capture, camera, &config, state, &path, stopper);
-    assert!(matches!(run(state.clone(), &mut Stopper::new(3)), Err(FitError::Stopped)));
-    let whole = Npz::open(&path).unwrap();
-    let mut writer = NpzWriter::new(std::fs::File::create(&path).unwrap());
-    let (gone, rest): (Vec<_>, Vec<_>) = whole.arrays.iter().partition(|(name, _)| name.ends_with("betas.exp_avg"));
-    assert_eq!(gone.len(), 1);
-    for (name, array) in rest {
-        writer.add(name, &array.shape, &array.f32()).unwrap();
-    }
-    writer.finish().unwrap();
-    let resumed = state.resume(&path).unwrap().unwrap();
-    let mut stopper = Stopper::new(usize::MAX);
-    assert_eq!(run(resumed, &mut stopper).unwrap().stage, fit::Stage::Done);
-    assert_eq!(stopper.heard[0], 4);
-}
-
-#[test]
-fn a_resumed_stage_holds_joints_near_where_it_had_begun() {
-    const ELBOW_X: usize = 3 * 18;
-    let Some(gpu) = gpu("a_resumed_stage_holds_joints_near_where_it_had_begun") else { return };
-    let start = Start::new(&gpu, 12);
-    // As after a first step; the left elbow, a hinge that does not bend there, began elsewhere in the second.
-    let resumed = FitState { step: 1, ..start.state.clone() };
-    let mut elsewhere = resumed.clone();
-    elsewhere.stage_poses.chunks_mut(72).for_each(|pose| pose[ELBOW_X] += 0.2);
-    let [near, far] = [resumed, elsewhere].map(|state| {
-        let fitted = start.fit(&gpu, &short(FitConfig::draft(0)), state).0.unwrap();
-        fitted.poses.chunks(72).map(|pose| pose[ELBOW_X]).sum::<f32>() / fitted.n_frames() as f32
-    });
-    assert!(far - near > 0.02, "{near}, {far} rad");
 }
 
 /// Legs apart in all frames, and the gap between them closed from the crotch to the knees, as where a skirt was fitted.

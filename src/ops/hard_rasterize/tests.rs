@@ -220,6 +220,19 @@ fn the_faces_alone_are_those_of_the_whole_image() {
     }
 }
 
+/// The faces that the pixels show of a mesh of one face, in two passes and, where the device can, in one.
+fn drawn_alone(gpu: &Gpu, config: HardRasterizeConfig, camera: &Camera, face: [u32; 3], view: &[f32]) -> [Vec<i32>; 2] {
+    let corners = Arc::new(Corners::new(gpu, &[face], &Topology::new(3, &[face])));
+    let view = gpu.upload("view", view);
+    [false, gpu.info().wide_atomics].map(|wide| {
+        let op = HardRasterizer::with_passes(gpu, &corners, camera.n_pixels(), config, wide);
+        let mut recorder = gpu.recorder("hard_rasterize/test");
+        op.forward_faces(&mut recorder, camera, &view);
+        recorder.submit().unwrap();
+        gpu.read(&op.pix_to_face).unwrap()[..camera.n_pixels()].to_vec()
+    })
+}
+
 /// Triangles of all shapes, one at a time: slivers, level edges, edges through pixel centres, corners far outside.
 #[test]
 fn no_triangle_loses_a_pixel() {
@@ -242,16 +255,9 @@ fn no_triangle_loses_a_pixel() {
     let mut covered = [0; 2];
     for (k, triangle) in triangles.iter().enumerate() {
         let view: Vec<f64> = triangle.iter().zip([1.0, 1.3, 2.1]).flat_map(|(&p, z)| at(p, z)).collect();
-        let view_buffer = gpu.upload("view", &f32s(&view));
         for (config, face) in [(CONFIG, [0, 1, 2]), (CULLED, orders[k % 6])] {
             let want = cpu::forward(&config, &camera, &view, &[face]);
-            let corners = Arc::new(Corners::new(&gpu, &[face], &Topology::new(3, &[face])));
-            for wide in [false, gpu.info().wide_atomics] {
-                let op = HardRasterizer::with_passes(&gpu, &corners, camera.n_pixels(), config, wide);
-                let mut recorder = gpu.recorder("hard_rasterize/test");
-                op.forward_faces(&mut recorder, &camera, &view_buffer);
-                recorder.submit().unwrap();
-                let found = gpu.read(&op.pix_to_face).unwrap();
+            for found in drawn_alone(&gpu, config, &camera, face, &f32s(&view)) {
                 let differ = (0..camera.n_pixels()).filter(|&p| found[p] != want.pix_to_face[p]);
                 // Centres on an edge may fall to either side; of the triangles above those with a level edge have a row of them.
                 let centre = |p: usize| [(p % 64) as f64 + 0.5, (p / 64) as f64 + 0.5];
@@ -268,19 +274,12 @@ fn no_triangle_loses_a_pixel() {
 #[test]
 fn corners_that_are_not_finite_end() {
     let Some(gpu) = gpu("hard_rasterize::corners_that_are_not_finite_end") else { return };
-    let corners = Arc::new(Corners::new(&gpu, &[[0, 1, 2]], &Topology::new(3, &[[0, 1, 2]])));
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e37, -1e37] {
         for at in 0..9 {
             let mut view = f32s(&TRIANGLE);
             view[at] = bad;
-            let view = gpu.upload("view", &view);
-            for wide in [false, gpu.info().wide_atomics] {
-                let op = HardRasterizer::with_passes(&gpu, &corners, CAMERA.n_pixels(), CONFIG, wide);
-                let mut recorder = gpu.recorder("hard_rasterize/test");
-                op.forward_faces(&mut recorder, &CAMERA, &view);
-                recorder.submit().unwrap();
-                let found = gpu.read(&op.pix_to_face).unwrap();
-                assert!(found[..CAMERA.n_pixels()].iter().all(|f| (-1..1).contains(f)), "{bad} at {at}: {found:?}");
+            for found in drawn_alone(&gpu, CONFIG, &CAMERA, [0, 1, 2], &view) {
+                assert!(found.iter().all(|f| (-1..1).contains(f)), "{bad} at {at}: {found:?}");
             }
         }
     }
