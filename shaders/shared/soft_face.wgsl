@@ -7,6 +7,31 @@ const TILE_PIXELS: u32 = TILE * TILE;
 // A share below exp(-NEGLIGIBLE) = 6e-6 is none.
 const NEGLIGIBLE: f32 = 12.0;
 
+// Tiles and faces stand in the order of how much there is to do for them, most first: by such classes, four an octave. Where
+// neighbours take equally long, a vector of them ends together.
+const SIZES: u32 = 64u;
+
+fn size_class(n: u32) -> u32 {
+    let octave = firstLeadingBit(n);
+    return SIZES - 1u - min(4u * octave + (((n << 2u) >> octave) & 3u), SIZES - 1u);
+}
+
+// Which of the items of a list in that order an invocation takes. A software driver gives each of its threads one stretch of
+// the workgroups; here each stretch has all sizes, since groups next to each other lie DEALT apart in the list.
+const DEALT: u32 = 8u;
+
+fn dealt_item(group: vec3<u32>, groups: vec3<u32>, lane: u32, workgroup_size: u32) -> u32 {
+    let rounds = groups.x * groups.y / DEALT;
+    let g = group.x + group.y * groups.x;
+    return ((g % rounds) * DEALT + g / rounds) * workgroup_size + lane;
+}
+
+// Pixels of a box `first | last << 16` along both axes.
+fn box_pixels(box: vec2<u32>) -> u32 {
+    let sides = (box >> vec2<u32>(16u)) + 1u - (box & vec2<u32>(0xffffu));
+    return sides.x * sides.y;
+}
+
 struct SoftParams {
     n_faces: u32,
     width: u32,
@@ -25,6 +50,9 @@ struct SoftParams {
     near: f32,
     far: f32,
     cut: f32,
+    // 1/sqrt(sigma), and 1/((far - near) gamma).
+    scale: f32,
+    depth_scale: f32,
     red: f32,
     green: f32,
     blue: f32,
@@ -48,6 +76,7 @@ struct Edges {
     dir_x: vec3<f32>,
     dir_y: vec3<f32>,
     length: vec3<f32>,
+    inv_length: vec3<f32>,
     // Barycentric coordinates are line * to_bary.
     to_bary: vec3<f32>,
     // Signed distance from each edge's line, and the place along it.
@@ -68,6 +97,8 @@ struct Fragment {
     clamped: vec3<f32>,
     total: f32,
     z: f32,
+    // total / z
+    depth: f32,
 }
 
 fn unpack_face(r0: vec4<f32>, r1: vec4<f32>, r2: vec4<f32>, r3: vec4<f32>) -> SoftFace {
@@ -84,7 +115,7 @@ fn cross2(a: vec2<f32>, b: vec2<f32>) -> f32 {
 }
 
 fn edges_from(f: SoftFace, p: vec2<f32>) -> Edges {
-    let scale = inverseSqrt(params.sigma);
+    let scale = params.scale;
     let x = vec3<f32>(f.c.x - f.b.x, f.a.x - f.c.x, f.b.x - f.a.x);
     let y = vec3<f32>(f.c.y - f.b.y, f.a.y - f.c.y, f.b.y - f.a.y);
     let inv_length = sqrt(f.inv_length2);
@@ -95,6 +126,7 @@ fn edges_from(f: SoftFace, p: vec2<f32>) -> Edges {
     e.dir_x = x * inv_length;
     e.dir_y = y * inv_length;
     e.length = length * scale;
+    e.inv_length = inv_length / scale;
     e.to_bary = length * f.inv_area / scale;
     e.line = e.dir_x * qy - e.dir_y * qx;
     e.along = e.dir_x * qx + e.dir_y * qy;
@@ -110,12 +142,13 @@ fn fragment_at(e: Edges, inv_z: vec3<f32>, line: vec3<f32>, along: vec3<f32>) ->
     r.x = select(-nearest, nearest, all(r.w > vec3<f32>(0.0)));
     r.clamped = clamp(r.w, vec3<f32>(0.0), vec3<f32>(1.0));
     r.total = r.clamped.x + r.clamped.y + r.clamped.z;
-    r.z = r.total / dot(r.clamped, inv_z);
+    r.depth = dot(r.clamped, inv_z);
+    r.z = r.total / r.depth;
     r.counts = r.x > -params.cut && r.z > params.near && r.z < params.far;
     return r;
 }
 
 // (z^ - 1)/gamma: all scores count from the near plane, where small differences keep their digits.
 fn nearness(z: f32) -> f32 {
-    return (params.near - z) / ((params.far - params.near) * params.gamma);
+    return (params.near - z) * params.depth_scale;
 }

@@ -1,7 +1,8 @@
 // Pass 4, one tile with a list an invocation: its faces from first to last, so that `forward` sums them in the same order in
 // every run. They arrive nearly in order, and lists are short: a Shell sort, whose last round looks at each face once.
-#import shared/linear_index
 #import shared/soft_face
+
+#const WORKGROUP: u32 = 64u
 
 @group(0) @binding(0) var<uniform> params: SoftParams;
 @group(0) @binding(1) var<storage, read> starts: array<u32>;
@@ -27,13 +28,17 @@ fn order_by(first: u32, end: u32, gap: u32) {
     }
 }
 
-@compute @workgroup_size(64)
-fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
-    let k = linear_index(id, groups, 64u);
-    if k >= busy[0] {
+@compute @workgroup_size(WORKGROUP)
+fn main(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+) {
+    let place = dealt_item(group, groups, lane, WORKGROUP);
+    if place >= busy[0] {
         return;
     }
-    let tile = busy[1u + k];
+    let tile = busy[1u + place];
     let first = starts[tile];
     let end = starts[tile + 1u];
     // `forward` takes all faces then.

@@ -1,8 +1,9 @@
-// Pass 2, one workgroup: where each tile's list starts, which tiles have one, and how many workgroups they and the drawn
-// faces take, one each, and the tiles at 64 each. Leaves `counts` zero for the next image.
+// Pass 2, one workgroup: where each tile's list starts, which tiles have one, where each class of drawn faces starts, and how many
+// workgroups tiles and faces take, one each and at WORKGROUP each. Leaves `counts` zero for the next image.
 #import shared/soft_face
 
 #const LANES: u32 = 256u
+#const WORKGROUP: u32 = 64u
 // Lanes whose sums are summed up first.
 const BLOCK: u32 = 32u;
 // Workgroups along x at most; see `linear_groups` of the host.
@@ -11,13 +12,15 @@ const ROW: u32 = 32768u;
 @group(0) @binding(0) var<uniform> params: SoftParams;
 @group(0) @binding(1) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(2) var<storage, read_write> starts: array<u32>; // [n_tiles + 1]
-@group(0) @binding(3) var<storage, read_write> cursors: array<u32>;
+@group(0) @binding(3) var<storage, read_write> cursors: array<u32>; // [n_tiles], then of the drawn faces
 @group(0) @binding(4) var<storage, read_write> busy: array<u32>; // how many tiles, then which
 @group(0) @binding(5) var<storage, read_write> drawn: array<u32>;
-@group(0) @binding(6) var<storage, read_write> workgroups: array<u32>; // of the busy tiles, of the drawn faces, of 64 tiles each
+@group(0) @binding(6) var<storage, read_write> workgroups: array<u32>; // of the busy tiles, of the drawn faces; the same at WORKGROUP each
 
-var<workgroup> sums: array<vec2<u32>, LANES>;
-var<workgroup> of_blocks: array<vec2<u32>, LANES / BLOCK>;
+var<workgroup> sums: array<u32, LANES>;
+var<workgroup> of_blocks: array<u32, LANES / BLOCK>;
+// How many tiles each class has, then where its next one goes.
+var<workgroup> classes: array<atomic<u32>, SIZES>;
 
 fn write_workgroups(at: u32, n: u32) {
     workgroups[at] = min(n, ROW);
@@ -25,28 +28,56 @@ fn write_workgroups(at: u32, n: u32) {
     workgroups[at + 2u] = 1u;
 }
 
+// Of WORKGROUP items each, see `dealt_item`.
+fn dealt_groups(n: u32) -> u32 {
+    return (n + WORKGROUP * DEALT - 1u) / (WORKGROUP * DEALT) * DEALT;
+}
+
 @compute @workgroup_size(LANES)
 fn main(@builtin(local_invocation_index) lane: u32) {
     let chunk = (params.n_tiles + LANES - 1u) / LANES;
     let first = min(lane * chunk, params.n_tiles);
     let end = min(first + chunk, params.n_tiles);
-    // Entries and tiles.
-    var sum = vec2<u32>(0u);
+    for (var i = lane; i < SIZES; i += LANES) {
+        atomicStore(&classes[i], 0u);
+    }
+    workgroupBarrier();
+    var sum = 0u;
     for (var i = first; i < end; i++) {
         let count = counts[i];
-        sum += vec2<u32>(count, min(count, 1u));
+        sum += count;
+        if count > 0u {
+            atomicAdd(&classes[size_class(count)], 1u);
+        }
     }
     sums[lane] = sum;
     workgroupBarrier();
     if lane < LANES / BLOCK {
-        var of_block = vec2<u32>(0u);
+        var of_block = 0u;
         for (var i = 0u; i < BLOCK; i++) {
             of_block += sums[lane * BLOCK + i];
         }
         of_blocks[lane] = of_block;
     }
+    if lane == LANES - 1u {
+        var n_busy = 0u;
+        var n_drawn = 0u;
+        for (var i = 0u; i < SIZES; i++) {
+            n_busy += atomicExchange(&classes[i], n_busy);
+            let faces = counts[params.n_tiles + i];
+            counts[params.n_tiles + i] = 0u;
+            cursors[params.n_tiles + i] = n_drawn;
+            n_drawn += faces;
+        }
+        busy[0] = n_busy;
+        drawn[0] = n_drawn;
+        write_workgroups(0u, n_busy);
+        write_workgroups(3u, n_drawn);
+        write_workgroups(6u, dealt_groups(n_busy));
+        write_workgroups(9u, dealt_groups(n_drawn));
+    }
     workgroupBarrier();
-    var at = vec2<u32>(0u);
+    var at = 0u;
     for (var block = 0u; block < lane / BLOCK; block++) {
         at += of_blocks[block];
     }
@@ -55,22 +86,15 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     }
     for (var i = first; i < end; i++) {
         let count = counts[i];
-        starts[i] = at.x;
-        cursors[i] = at.x;
+        starts[i] = at;
+        cursors[i] = at;
         if count > 0u {
-            busy[1u + at.y] = i;
+            busy[1u + atomicAdd(&classes[size_class(count)], 1u)] = i;
         }
-        at += vec2<u32>(count, min(count, 1u));
+        at += count;
         counts[i] = 0u;
     }
     if lane == LANES - 1u {
-        starts[params.n_tiles] = at.x;
-        busy[0] = at.y;
-        write_workgroups(0u, at.y);
-        write_workgroups(6u, (at.y + 63u) / 64u);
-        let n_drawn = counts[params.n_tiles];
-        counts[params.n_tiles] = 0u;
-        drawn[0] = n_drawn;
-        write_workgroups(3u, n_drawn);
+        starts[params.n_tiles] = at;
     }
 }

@@ -1,5 +1,5 @@
-// Pass 1, one face an invocation: its record, the box of pixels within reach, and a count in each tile of the box where it
-// is not hidden.
+// Pass 1, one face an invocation: its record, the box of pixels within reach, a count in each tile of the box where it
+// is not hidden, and one in the class of its box.
 #import shared/linear_index
 #import shared/soft_face
 
@@ -14,9 +14,8 @@ const MIN_AREA: f32 = 1e-12;
 @group(0) @binding(2) var<storage, read> faces: array<u32>;
 @group(0) @binding(3) var<storage, read_write> records: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> boxes: array<vec2<u32>>; // x0 | x1 << 16, y0 | y1 << 16
-@group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>; // [n_tiles], then of the drawn faces
+@group(0) @binding(5) var<storage, read_write> counts: array<atomic<u32>>; // [n_tiles], then of the drawn faces by their sizes
 @group(0) @binding(6) var<storage, read> limits: array<f32>;
-@group(0) @binding(7) var<storage, read_write> drawn: array<u32>; // how many faces, then which
 
 fn vertex_at(i: u32) -> vec3<f32> {
     return vec3<f32>(view[3u * i], view[3u * i + 1u], view[3u * i + 2u]);
@@ -78,8 +77,9 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
             }
         }
     }
-    boxes[f] = select(vec2<u32>(1u), first | (last << vec2<u32>(16u)), seen);
+    let box = first | (last << vec2<u32>(16u));
+    boxes[f] = select(vec2<u32>(1u), box, seen);
     if seen {
-        drawn[1u + atomicAdd(&counts[params.n_tiles], 1u)] = f;
+        atomicAdd(&counts[params.n_tiles + size_class(box_pixels(box))], 1u);
     }
 }

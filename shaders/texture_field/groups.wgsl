@@ -29,7 +29,8 @@ fn main() {
     let n = min(params.n_max, count[0]);
     let chunks = (n + CHUNK - 1u) / CHUNK;
     write(0u, (n + LANES - 1u) / LANES, 1u);
-    write(3u, (n + 64u * RUN - 1u) / (64u * RUN), params.n_levels);
+    // Levels side by side: fine ones take longest, and a software driver gives each of its threads one stretch of the workgroups.
+    write(3u, params.n_levels, (n + 64u * RUN - 1u) / (64u * RUN));
     write(6u, params.tiles0, chunks);
     write(9u, params.tiles1, chunks);
     write(12u, params.tiles2, chunks);

@@ -30,10 +30,11 @@ fn add(corner: vec3<u32>, level: Level, parts: array<vec2<f32>, 8>) {
 }
 
 @compute @workgroup_size(64)
-fn main(@builtin(global_invocation_id) id: vec3<u32>) {
-    let first = id.x * RUN;
+fn main(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3<u32>) {
+    let at_level = group.x;
+    let first = (group.y * 64u + lane) * RUN;
     let end = min(first + RUN, min(params.n_max, count[0]));
-    let level = params.levels[id.y];
+    let level = params.levels[at_level];
     var p = first;
     loop {
         if p >= end {
@@ -46,7 +47,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         var parts = array<vec2<f32>, 8>();
         var same = true;
         while same {
-            let upstream = grad_encoded[p * ENCODED4 * 2u + id.y];
+            let upstream = grad_encoded[p * ENCODED4 * 2u + at_level];
             let f = cell.place;
             let g = 1.0 - f;
             let low = vec4<f32>(g.x * g.y, f.x * g.y, g.x * f.y, f.x * f.y) * g.z;

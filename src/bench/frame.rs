@@ -8,6 +8,7 @@ use super::scale::{Counts, Scale, count_fragments};
 use crate::avatar::RenderError;
 use crate::body::{Body, N_JOINTS};
 use crate::camera::Camera;
+use crate::fit::FitConfig;
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
 use crate::ops::interpolate::{Interpolate, Sampling};
@@ -16,12 +17,8 @@ use crate::ops::soft_rasterize::{SoftRasterizeParams, SoftRasterizer};
 use crate::ops::texture_field::{TextureField, TextureFieldConfig, TextureFieldError, TextureFieldParams};
 use crate::ops::{Corners, Topology};
 
-/// SoftRas' blur in the fits' last geometry phase.
-const SIGMA: f64 = 2e-5;
 /// Metres around the person that the soft rasteriser's depths span.
 const DEPTH_M: [f64; 2] = [1.5, 4.5];
-/// Its depth softness, metres.
-const DEPTH_SOFTNESS_M: f64 = 0.01;
 
 /// The most pixels that the texture is asked for at once: what the smallest allowed binding of its activations holds.
 const MAX_LISTED: usize = 1 << 20;
@@ -210,10 +207,19 @@ fn case<'a>(name: &'static str, needs: Counts, record: impl Fn(&mut Recorder<'_>
     Case { name, needs, record: Box::new(record) }
 }
 
+/// Those of the fits' last geometry phase.
 fn soft_params(size: u32) -> SoftRasterizeParams {
+    let phases = FitConfig::standard(0).geometry.phases;
+    let phase = phases.last().expect("standard has phases");
     let [near, far] = DEPTH_M;
-    let gamma = DEPTH_SOFTNESS_M / (far - near);
-    SoftRasterizeParams { sigma: SIGMA, gamma, near, far, ..SoftRasterizeParams::new(size, size) }
+    SoftRasterizeParams {
+        sigma: phase.sigma.into(),
+        gamma: f64::from(phase.depth_softness_m) / (far - near),
+        cut: phase.cut.into(),
+        near,
+        far,
+        ..SoftRasterizeParams::new(size, size)
+    }
 }
 
 /// What is known before anything is drawn.

@@ -1,5 +1,6 @@
 //! The numbers of a fit: weights, learning rates, schedules, presets.
 
+use crate::ops::soft_rasterize::SoftRasterizeParams;
 use crate::ops::texture_field::TextureFieldConfig;
 
 /// How the silhouette moves the mesh.
@@ -87,6 +88,8 @@ pub struct Phase {
     pub sigma: f32,
     /// SoftRas depth softness γ·(far − near), metres.
     pub depth_softness_m: f32,
+    /// SoftRas' reach: faces further outside than `d² = cut·σ` do not count.
+    pub cut: f32,
     /// Factor on all learning rates.
     pub rate: f32,
     /// Whether D is fitted in this phase (else only β, pose and placement).
@@ -320,6 +323,7 @@ const COARSE: Phase = Phase {
     level: 1,
     sigma: 1e-4,
     depth_softness_m: 0.02,
+    cut: SoftRasterizeParams::CUT as f32,
     rate: 1.0,
     offsets: true,
     preconditioner: Preconditioner::LargeSteps { lambda: 10.0 },

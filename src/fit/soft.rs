@@ -71,6 +71,7 @@ pub fn soft_params(scene: &Scene, phase: &Phase, frame: usize, background: [f32;
     let (near, far) = scene.depth_ranges[frame];
     SoftRasterizeParams {
         sigma: phase.sigma as f64,
+        cut: phase.cut as f64,
         gamma: phase.depth_softness_m as f64 / (far - near),
         near,
         far,

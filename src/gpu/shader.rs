@@ -32,6 +32,8 @@ const SHARED: &[(&str, &str)] = &[
     ("shared/shade_parts", include_str!("../../shaders/shared/shade_parts.wgsl")),
     ("shared/silhouette", include_str!("../../shaders/shared/silhouette.wgsl")),
     ("shared/soft_face", include_str!("../../shaders/shared/soft_face.wgsl")),
+    ("shared/soft_gradient", include_str!("../../shaders/shared/soft_gradient.wgsl")),
+    ("shared/soft_tile", include_str!("../../shaders/shared/soft_tile.wgsl")),
     ("shared/target_pixel", include_str!("../../shaders/shared/target_pixel.wgsl")),
     ("shared/texel_cell", include_str!("../../shaders/shared/texel_cell.wgsl")),
     ("shared/unit_or_zero", include_str!("../../shaders/shared/unit_or_zero.wgsl")),

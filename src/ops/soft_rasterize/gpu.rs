@@ -10,6 +10,8 @@ use crate::ops::fill::Fill;
 
 /// Side of a tile in pixels.
 const TILE: u32 = 4;
+/// Classes of sizes: `SIZES` of `shaders/shared/soft_face.wgsl`.
+const SIZES: usize = 64;
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -31,6 +33,8 @@ struct Params {
     near: f32,
     far: f32,
     cut: f32,
+    scale: f32,
+    depth_scale: f32,
     background: [f32; 3],
 }
 
@@ -46,17 +50,22 @@ struct Passes {
 impl Passes {
     /// Hidden faces have a share in the coverage, so `limits` serve colours alone.
     fn new(gpu: &Gpu, coverage: bool) -> Self {
+        let wide = gpu.info().wide;
         let tile = ("TILE", format!("{TILE}u"));
-        // A subgroup's width there.
-        let lanes = ("LANES", if gpu.info().wide { "32u" } else { "8u" }.to_owned());
         let covers = ("COVERAGE", coverage.to_string());
         let lists = [tile.clone(), ("LIMITED", (!coverage).to_string())];
         Self {
             setup: kernel!(gpu, "soft_rasterize/setup", &lists),
             fill: kernel!(gpu, "soft_rasterize/fill", &lists),
-            forward: kernel!(gpu, "soft_rasterize/forward", &[tile.clone(), lanes.clone(), covers.clone()]),
-            pixels: kernel!(gpu, "soft_rasterize/pixels", &[tile.clone(), covers.clone()]),
-            backward: kernel!(gpu, "soft_rasterize/backward", &[lanes, covers]),
+            forward: match wide {
+                true => kernel!(gpu, "soft_rasterize/forward_spread", &[tile.clone(), covers.clone()]),
+                false => kernel!(gpu, "soft_rasterize/forward", &[tile.clone(), covers.clone()]),
+            },
+            pixels: kernel!(gpu, "soft_rasterize/pixels", &[tile, covers.clone()]),
+            backward: match wide {
+                true => kernel!(gpu, "soft_rasterize/backward_spread", &[covers]),
+                false => kernel!(gpu, "soft_rasterize/backward", &[covers]),
+            },
         }
     }
 }
@@ -80,7 +89,7 @@ pub struct SoftRasterizer {
     cursors: Buffer<u32>,
     entries: Buffer<u32>,
     limits: Buffer<f32>,
-    /// Tiles with a list, faces with a box: how many, then which; and their workgroups.
+    /// Tiles with a list, faces with a box: how many, then which, those with most to do first; and their workgroups.
     busy: Buffer<u32>,
     drawn: Buffer<u32>,
     workgroups: Buffer<u32>,
@@ -116,15 +125,15 @@ impl SoftRasterizer {
             colours_alone: Passes::new(gpu, false),
             records: gpu.zeros("soft_rasterize/records", n_faces * 16),
             boxes: gpu.zeros("soft_rasterize/boxes", n_faces),
-            counts: gpu.zeros("soft_rasterize/counts", n_tiles + 1),
+            counts: gpu.zeros("soft_rasterize/counts", n_tiles + SIZES),
             starts: gpu.zeros("soft_rasterize/starts", n_tiles + 1),
-            cursors: gpu.zeros("soft_rasterize/cursors", n_tiles),
+            cursors: gpu.zeros("soft_rasterize/cursors", n_tiles + SIZES),
             entries: gpu.zeros("soft_rasterize/entries", list_capacity),
             state: gpu.zeros("soft_rasterize/state", max_pixels * 2),
             limits: gpu.zeros("soft_rasterize/limits", n_tiles),
             busy: gpu.zeros("soft_rasterize/busy", n_tiles + 1),
             drawn: gpu.zeros("soft_rasterize/drawn", n_faces + 1),
-            workgroups: gpu.zeros("soft_rasterize/workgroups", 9),
+            workgroups: gpu.zeros("soft_rasterize/workgroups", 12),
             pixels: gpu.zeros("soft_rasterize/pixels", max_pixels * 4),
             pixels_rest: gpu.zeros("soft_rasterize/pixels_rest", max_pixels * 2),
             fill: Fill::new(gpu),
@@ -176,8 +185,16 @@ impl SoftRasterizer {
             near: params.near as f32,
             far: params.far as f32,
             cut: params.cut as f32,
+            scale: params.sigma.powf(-0.5) as f32,
+            depth_scale: ((params.far - params.near) * params.gamma).recip() as f32,
             background: params.background.map(|x| x as f32),
         }
+    }
+
+    /// Where in `workgroups` those of the tiles with a list and of the drawn faces stand: where many cores run side by side one
+    /// takes an item, else 64 do.
+    fn workgroups_at(&self) -> [usize; 2] {
+        if self.ordered.is_some() { [0, 3] } else { [6, 9] }
     }
 
     fn passes(&self, coverage: bool) -> &Passes {
@@ -214,25 +231,26 @@ impl SoftRasterizer {
             }
             None => recorder.clear(&self.alpha),
         }
-        let buffers: [&dyn AnyBuffer; 7] = [view, &self.corners.faces, records, boxes, counts, limits, drawn];
+        let buffers: [&dyn AnyBuffer; 6] = [view, &self.corners.faces, records, boxes, counts, limits];
         recorder.dispatch(&passes.setup, &params, &buffers, by_face);
         let buffers: [&dyn AnyBuffer; 6] = [counts, starts, cursors, busy, drawn, workgroups];
         recorder.dispatch(&self.scan, &params, &buffers, [1, 1, 1]);
-        recorder.dispatch(&passes.fill, &params, &[boxes, cursors, entries, records, limits], by_face);
+        recorder.dispatch(&passes.fill, &params, &[boxes, cursors, entries, records, limits, drawn], by_face);
+        let at = self.workgroups_at()[0];
         let entries = match &self.ordered {
             Some(ordered) => {
                 let buffers: [&dyn AnyBuffer; 4] = [starts, busy, entries, ordered];
-                recorder.dispatch_indirect(&self.order, &params, &buffers, workgroups, 0);
+                recorder.dispatch_indirect(&self.order, &params, &buffers, workgroups, at);
                 ordered
             }
             None => {
-                recorder.dispatch_indirect(&self.order, &params, &[starts, busy, entries], workgroups, 6);
+                recorder.dispatch_indirect(&self.order, &params, &[starts, busy, entries], workgroups, at);
                 entries
             }
         };
         let buffers: [&dyn AnyBuffer; 8] =
             [records, face_colours, starts, entries, &self.rgb, &self.alpha, &self.state, busy];
-        recorder.dispatch_indirect(&passes.forward, &params, &buffers, workgroups, 0);
+        recorder.dispatch_indirect(&passes.forward, &params, &buffers, workgroups, at);
     }
 
     /// Records `grad_view +=` and `grad_face_colours +=` the gradients through the last image. Without `grad_alpha`, or
@@ -267,7 +285,7 @@ impl SoftRasterizer {
         recorder.clear(grad_corners);
         let buffers: [&dyn AnyBuffer; 8] =
             [records, boxes, face_colours, pixels, pixels_rest, drawn, grad_corners, grad_face_colours];
-        recorder.dispatch_indirect(&passes.backward, &params, &buffers, workgroups, 3);
+        recorder.dispatch_indirect(&passes.backward, &params, &buffers, workgroups, self.workgroups_at()[1]);
         self.corners.gather(recorder, grad_corners, grad_view);
     }
 

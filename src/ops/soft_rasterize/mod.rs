@@ -34,8 +34,11 @@
 //! does not fit goes through all the faces instead: slow, never wrong; [`SoftRasterizer::list_length`] tells. Faces come into
 //! a list as they arrive and are then put in order, so that every run sums them alike.
 //!
-//! **Backward** goes face by face, a workgroup each, over the pixels within reach and writes each face's corners once, in a
-//! fixed order and without float atomics.
+//! **Backward** goes face by face over the pixels within reach and writes each face's corners once, in a fixed order and without
+//! float atomics.
+//!
+//! Where many cores run side by side, a workgroup takes a tile or a face and shares it among its invocations (`forward_spread`,
+//! `backward_spread`); a driver that computes on the CPU has an invocation take it alone (`forward`, `backward`).
 
 pub mod cpu;
 mod gpu;
@@ -63,6 +66,9 @@ pub struct SoftRasterizeParams {
 }
 
 impl SoftRasterizeParams {
+    /// The reference codes' [`SoftRasterizeParams::cut`].
+    pub const CUT: f64 = 9.21;
+
     /// The reference values for a full image of `width × height`.
     pub fn new(width: u32, height: u32) -> Self {
         Self {
@@ -71,7 +77,7 @@ impl SoftRasterizeParams {
             eps: 1e-3,
             near: 1.0,
             far: 100.0,
-            cut: 9.21,
+            cut: Self::CUT,
             norm_px: f64::from(width.max(height)) / 2.0,
             background: [0.0; 3],
         }
