@@ -16,8 +16,8 @@ fn size_class(n: u32) -> u32 {
     return SIZES - 1u - min(4u * octave + (((n << 2u) >> octave) & 3u), SIZES - 1u);
 }
 
-// Which of the items of a list in that order an invocation takes. A software driver gives each of its threads one stretch of
-// the workgroups; here each stretch has all sizes, since groups next to each other lie DEALT apart in the list.
+// Which item of a list in that order an invocation takes. A software driver gives each of its threads one stretch of the
+// workgroups; groups next to each other lie DEALT apart in the list, so that each stretch has all sizes.
 const DEALT: u32 = 8u;
 
 fn dealt_item(group: vec3<u32>, groups: vec3<u32>, lane: u32, workgroup_size: u32) -> u32 {

@@ -39,8 +39,12 @@ fn main(
     let sharers = min(take_faces(&own, tile, lane, LANES), LANES);
 #for J in 0..TILE
     #for I in 0..TILE
-    shares[($Ju * TILE + $Iu) * LANES + lane] = vec4<f32>(own[$Ju * TILE + $Iu].most, own[$Ju * TILE + $Iu].weight, own[$Ju * TILE + $Iu].clear, own[$Ju * TILE + $Iu].colour.x);
-    shares_gb[($Ju * TILE + $Iu) * LANES + lane] = own[$Ju * TILE + $Iu].colour.yz;
+    {
+        let share = own[$Ju * TILE + $Iu];
+        let at = ($Ju * TILE + $Iu) * LANES + lane;
+        shares[at] = vec4<f32>(share.most, share.weight, share.clear, share.colour.x);
+        shares_gb[at] = share.colour.yz;
+    }
     #end
 #end
     workgroupBarrier();

@@ -100,6 +100,12 @@ impl AvatarModel {
         Some(Mesh { vertices, faces: self.body.faces.clone(), colours: Vec::new() })
     }
 
+    /// When each captured frame was taken, seconds from the first.
+    pub fn times(&self) -> Vec<f32> {
+        let first = self.frames.first().copied().unwrap_or(0);
+        self.frames.iter().map(|&frame| (f64::from(frame - first) / self.fps) as f32).collect()
+    }
+
     /// The place in `frames` of a frame of the video, or of the nearest kept one.
     ///
     /// # Panics

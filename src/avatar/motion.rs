@@ -5,8 +5,9 @@ use std::io::{Seek, Write};
 use super::AvatarModel;
 use crate::npz::{NpzError, NpzWriter};
 
-/// Writes `poses [N, 72]`, `trans [N, 3]` (SMPL's `transl`), `betas [B]`, `frames [N]` (indices in the video) and
-/// `mocap_framerate` (of the kept frames: the video's rate over their mean distance). Returns the writer.
+/// Writes `poses [N, 72]`, `trans [N, 3]` (SMPL's `transl`), `betas [B]`, `frames [N]` (indices in the video), `times [N]`
+/// (seconds from the first of them, as in the glTF) and `mocap_framerate` (of the kept frames: the video's rate over their mean
+/// distance). Returns the writer.
 pub fn write_motion<W: Write + Seek>(model: &AvatarModel, out: W) -> Result<W, NpzError> {
     let n = model.poses.len();
     let mut npz = NpzWriter::new(out);
@@ -14,6 +15,7 @@ pub fn write_motion<W: Write + Seek>(model: &AvatarModel, out: W) -> Result<W, N
     npz.add("trans", &[n, 3], model.transl.as_flattened())?;
     npz.add("betas", &[model.betas.len()], &model.betas)?;
     npz.add("frames", &[n], &model.frames.iter().map(|&f| f as i64).collect::<Vec<_>>())?;
+    npz.add("times", &[n], &model.times())?;
     npz.add("mocap_framerate", &[], &[kept_frame_rate(model)])?;
     npz.finish()
 }
@@ -43,6 +45,8 @@ mod tests {
         assert_eq!(npz.shaped("trans", &[n, 3]).unwrap().f32(), model.transl.as_flattened());
         assert_eq!(npz.shaped("betas", &[3]).unwrap().f32(), model.betas);
         assert_eq!(npz.shaped("frames", &[n]).unwrap().data[1], model.frames[1] as f64);
+        let times: Vec<f32> = model.frames.iter().map(|&f| (f - model.frames[0]) as f32 / 30.0).collect();
+        assert_eq!(npz.shaped("times", &[n]).unwrap().f32(), times);
         // Every second frame of a 30 Hz video was kept.
         assert_eq!(npz.scalar("mocap_framerate").unwrap(), 15.0);
     }

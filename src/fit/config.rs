@@ -210,7 +210,12 @@ impl FitConfig {
                 field: 1e-2,
             },
             geometry: StageConfig { weights: GEOMETRY, shape: true, phases: geometry },
-            texture: StageConfig { weights: Weights { rgb_soft: 0.0, ..GEOMETRY }, shape: true, phases: texture },
+            // By then pictures know better where limbs are than a detector does (docs/lab/fit.md, "Keypoints in stage 2").
+            texture: StageConfig {
+                weights: Weights { rgb_soft: 0.0, keypoints: 0.25 * GEOMETRY.keypoints, ..GEOMETRY },
+                shape: true,
+                phases: texture,
+            },
             pixel_rate: 0.5,
             most_pixels: None,
             facing: false,
@@ -279,7 +284,7 @@ impl FitConfig {
     /// The paper's method as far as it tells: NMR silhouettes, plain offsets, full resolution throughout.
     pub fn paper(seed: u64) -> Self {
         let mut config = Self::standard(seed).with_shape_standing();
-        let plain = Phase { preconditioner: Preconditioner::None, ..FINE };
+        let plain = Phase { preconditioner: Preconditioner::None, cut: SoftRasterizeParams::CUT as f32, ..FINE };
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
         config.fill_unseen = false;
@@ -323,7 +328,8 @@ const COARSE: Phase = Phase {
     level: 1,
     sigma: 1e-4,
     depth_softness_m: 0.02,
-    cut: SoftRasterizeParams::CUT as f32,
+    // Colours as far out as the reference's 9.21 bring nothing (docs/lab/fit.md, "How far colours reach").
+    cut: 4.0,
     rate: 1.0,
     offsets: true,
     preconditioner: Preconditioner::LargeSteps { lambda: 10.0 },

@@ -43,9 +43,8 @@ pub(super) fn convert(model: &AvatarModel) -> Motion {
         });
         keys.collect()
     });
-    let first = model.frames[0];
     Motion {
-        times: model.frames.iter().map(|&f| ((f - first) as f64 / model.fps) as f32).collect(),
+        times: model.times(),
         root: path.iter().map(|&p| (p + shift).to_array()).collect(),
         rotations: rotations.collect(),
         gltf_from_world: Mat4::from_rotation_translation(turn, shift),
