@@ -4,7 +4,7 @@
 //! <data>/effigy.db            the queue
 //! <data>/bodies/              body models
 //! <data>/jobs/<job>/inputs/   the uploaded parts; complete before the job is in the queue
-//! <data>/jobs/<job>/work/     checkpoints, which outlive a worker
+//! <data>/jobs/<job>/work/     checkpoints and the losses so far, which outlive a worker
 //! <data>/jobs/<job>/previews/ the newest picture of the avatar as it emerges
 //! <data>/jobs/<job>/results/<epoch>/   what an attempt made; the published epoch is in the database
 //! <data>/uploads/             uploads that come in pieces, until a job uses them

@@ -1,6 +1,7 @@
 //! A job from files to files: decode, fit, bake, export. `effigy fit` runs the same pipeline without a server.
 
 mod closeups;
+mod curves;
 mod export;
 mod page;
 mod preview;
@@ -44,7 +45,8 @@ impl PipelineInput {
 }
 
 /// The stages of a job, in order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Stage {
     /// The clip is read into memory.
     Decode,

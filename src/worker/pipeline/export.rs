@@ -61,7 +61,7 @@ pub(super) fn export(
     monitor.end();
     let report = report(gpu, fitted, input, &scores, &quality, monitor);
     write_report(&report, out)?;
-    let html = page::html(&report, &quality, &monitor.curves, &pictures);
+    let html = page::html(&report, &quality, monitor.curves.points(), &pictures);
     std::fs::write(out.join("report.html"), html).map_err(anyhow::Error::from)?;
     Ok(Outcome { frames: frames.len() as u32, camera: model.camera.clone(), metrics: report["metrics"].clone() })
 }
@@ -119,11 +119,6 @@ fn report(
     let gigabyte = 1e9;
     let per_frame: Vec<_> =
         scores.iter().map(|s| json!({ "frame": s.frame, "mask_iou": s.iou, "psnr": s.psnr })).collect();
-    let curves: Vec<_> = monitor
-        .curves
-        .iter()
-        .map(|(stage, step, losses)| json!({ "stage": stage.name(), "step": step, "losses": losses }))
-        .collect();
     json!({
         "effigy": env!("CARGO_PKG_VERSION"),
         "options": input.options,
@@ -162,7 +157,7 @@ fn report(
         "camera_estimated": fitted.capture.camera_estimated,
         "betas": fitted.state.betas,
         "frames": per_frame,
-        "losses": curves,
+        "losses": monitor.curves.points(),
     })
 }
 

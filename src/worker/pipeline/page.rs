@@ -7,6 +7,7 @@ use image::{Rgb, RgbImage, RgbaImage};
 use serde_json::Value;
 
 use super::closeups::{Filmed, closeups};
+use super::curves::Point;
 use super::quality::Quality;
 use super::score::{FrameScore, spec_of};
 use super::{PipelineError, Stage};
@@ -113,12 +114,7 @@ fn standing(angle: f32) -> Pose {
 }
 
 /// The page. `report` is `report.json`.
-pub(super) fn html(
-    report: &Value,
-    quality: &Quality<'_>,
-    curves: &[(Stage, u32, BTreeMap<String, f64>)],
-    pictures: &Pictures,
-) -> String {
+pub(super) fn html(report: &Value, quality: &Quality<'_>, curves: &[Point], pictures: &Pictures) -> String {
     let mut page = Page::new("Avatar report");
     page.figures(&headline(report));
     flags(&mut page, quality);
@@ -194,16 +190,16 @@ fn ranges(frames: &[u32]) -> String {
     text.collect::<Vec<_>>().join(", ")
 }
 
-fn losses(page: &mut Page, curves: &[(Stage, u32, BTreeMap<String, f64>)]) {
+fn losses(page: &mut Page, curves: &[Point]) {
     page.heading("Losses");
     let mut charts = Vec::new();
     for (stage, caption) in
         [(Stage::Geometry, "Stage 1: geometry and face colours."), (Stage::Texture, "Stage 2: texture.")]
     {
         let mut lines: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
-        for (_, step, losses) in curves.iter().filter(|(at, ..)| *at == stage) {
-            for (name, value) in losses {
-                lines.entry(name).or_default().push((f64::from(*step), *value));
+        for point in curves.iter().filter(|point| point.stage == stage) {
+            for (name, value) in &point.losses {
+                lines.entry(name).or_default().push((f64::from(point.step), *value));
             }
         }
         let lines: Vec<Curve> = lines.into_iter().map(|(name, points)| relative(name, points)).collect();
@@ -212,7 +208,7 @@ fn losses(page: &mut Page, curves: &[(Stage, u32, BTreeMap<String, f64>)]) {
         }
     }
     match charts.is_empty() {
-        true => page.paragraph("None were recorded in this run: it went on from a finished fit."),
+        true => page.paragraph("None were recorded."),
         false => page.paragraph("Each over its own largest value; the number beside its name is the last one."),
     }
     page.figure_row(&charts);

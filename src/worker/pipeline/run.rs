@@ -7,6 +7,7 @@ use std::time::{Instant, SystemTime};
 
 use anyhow::anyhow;
 
+use super::curves::Curves;
 use super::preview::Previews;
 use super::{Observer, Outcome, PipelineError, PipelineInput, Preview, Progress, Stage, StopReason, export};
 use crate::body::Body;
@@ -45,7 +46,7 @@ pub fn run(
     observer: &mut dyn Observer,
 ) -> Result<Outcome, PipelineError> {
     let checkpoint = work_dir.join("checkpoint.npz");
-    let mut monitor = Monitor::new(gpu, observer, &checkpoint);
+    let mut monitor = Monitor::new(gpu, observer, &checkpoint, Curves::new(work_dir));
     let mut config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
     let mut body = load_body(data_dir, &input.options.body)?;
@@ -62,6 +63,9 @@ pub fn run(
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
     let state = resumed(fresh, &checkpoint);
+    if state.has_begun() {
+        monitor.curves.go_on();
+    }
     let [tailored, detailed] = ["tailored.npz", "detailed.npz"].map(|file| work_dir.join(file));
     if state.stage != fit::Stage::Done {
         // What lies there is of an earlier fit.
@@ -72,28 +76,30 @@ pub fn run(
     monitor.start(Stage::Geometry)?;
     let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
     let mut state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
+    let mut texture_steps = config.texture_steps(capture.frames.len());
     let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
     if let Some(skirt) = skirt {
         skirt.tailor(&mut body, &mut state);
         (state.stage, state.step) = (fit::Stage::Texture, 0);
         let state_before = resumed(state, &tailored);
-        monitor.go_on_with(&tailored);
+        monitor.go_on_with(&tailored, texture_steps);
         monitor.preview_from(&body, &capture, &start.camera, &config, &state_before);
         let alone = config.clone().texture_alone();
+        texture_steps += alone.texture_steps(capture.frames.len());
         let fitted = fit::run(gpu, &body, &capture, &start.camera, &alone, state_before, &tailored, &mut monitor);
         state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     }
     let detail = look_closer(input, &body, &mut capture, &measures, &start.camera, &config, &state)?;
     if let Some(detail) = &detail {
         let begun = resumed(detail.start(&state, &config), &detailed);
-        monitor.go_on_with(&detailed);
+        monitor.go_on_with(&detailed, texture_steps);
         monitor.preview_from(&body, &capture, &start.camera, &detail.config, &begun);
-        let (pictures, camera, n_losses) = (&detail.capture, &detail.camera, monitor.curves.len());
+        let (pictures, camera) = (&detail.capture, &detail.camera);
+        // Sums over other pictures are no part of the same curves.
+        monitor.draws_curves = false;
         let ended = fit::run(gpu, &body, pictures, camera, &detail.config, begun, &detailed, &mut monitor);
         state = Detail::end(state, ended.map_err(|e| from_fit(e, monitor.stopped))?);
         config.field = detail.config.field;
-        // Sums over other pictures are no part of the same curves.
-        monitor.curves.truncate(n_losses);
     }
     if capture.poses.is_none() {
         pelvis::settle(&mut body, &state.betas, &state.poses, &mut state.transl);
@@ -233,7 +239,8 @@ pub(super) struct Monitor<'a> {
     observer: &'a mut dyn Observer,
     pub(super) stopped: Option<StopReason>,
     pub(super) secs: StageSecs,
-    pub(super) curves: Vec<(Stage, u32, BTreeMap<String, f64>)>,
+    pub(super) curves: Curves,
+    draws_curves: bool,
     stage: Stage,
     stage_started: Instant,
     /// The first step of the stage in this run: a resumed one does not begin at zero.
@@ -253,13 +260,14 @@ pub(super) struct Monitor<'a> {
 }
 
 impl<'a> Monitor<'a> {
-    fn new(gpu: &'a Arc<Gpu>, observer: &'a mut dyn Observer, checkpoint: &Path) -> Self {
+    fn new(gpu: &'a Arc<Gpu>, observer: &'a mut dyn Observer, checkpoint: &Path, curves: Curves) -> Self {
         Self {
             gpu,
             observer,
             stopped: None,
             secs: BTreeMap::new(),
-            curves: Vec::new(),
+            curves,
+            draws_curves: true,
             stage: Stage::Decode,
             stage_started: Instant::now(),
             first_step: None,
@@ -302,10 +310,9 @@ impl<'a> Monitor<'a> {
         }
     }
 
-    /// The stage goes on, and its steps are counted on, with another checkpoint.
-    fn go_on_with(&mut self, checkpoint: &Path) {
-        let told = self.told.as_ref().filter(|told| told.stage == Stage::Texture);
-        self.steps_before = told.map_or(0, |told| told.steps);
+    /// The texture's stage goes on with another checkpoint; its steps are counted on.
+    fn go_on_with(&mut self, checkpoint: &Path, steps_before: u32) {
+        self.steps_before = steps_before;
         (self.checkpoint, self.saved) = (checkpoint.into(), written(checkpoint));
     }
 
@@ -313,10 +320,14 @@ impl<'a> Monitor<'a> {
         let saved = written(&self.checkpoint);
         if saved != self.saved {
             self.saved = saved;
+            self.curves.save();
             self.observer.saved(self.progress);
         }
         self.observer.idle(self.gpu);
         self.stopped = self.stopped.or_else(|| self.observer.stop());
+        if self.stopped.is_some() {
+            self.curves.save();
+        }
         self.stopped.is_none()
     }
 
@@ -358,7 +369,9 @@ impl Control for Monitor<'_> {
         let (step, steps) = (self.steps_before + report.step, self.steps_before + report.steps);
         if let Some(losses) = report.losses {
             self.losses = losses.iter().map(|(name, value)| ((*name).to_owned(), *value as f64)).collect();
-            self.curves.push((stage, step, self.losses.clone()));
+            if self.draws_curves {
+                self.curves.push(stage, step, &self.losses);
+            }
         }
         self.tell(stage, step, steps);
         if self.go_on() { Flow::Continue } else { Flow::Stop }

@@ -2,7 +2,7 @@
 
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
 use effigy::npz::{Npz, NpzWriter};
-use effigy::worker::pipeline::{PipelineError, Stage, StopReason};
+use effigy::worker::pipeline::{PipelineError, Progress, Stage, StopReason};
 
 use super::{Start, Witness, checkpoint, clip, gpu, input, run, short};
 
@@ -39,6 +39,35 @@ fn a_stopped_fit_goes_on_from_its_checkpoint() {
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 2)), ..Witness::default() };
     run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
     assert!(witness.heard.iter().any(|p| p.stage == Stage::Geometry && p.step == 1));
+}
+
+#[test]
+fn a_fit_that_goes_on_reports_its_losses_from_the_beginning() {
+    let Some(gpu) = gpu("a_fit_that_goes_on_reports_its_losses_from_the_beginning") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut witness = Witness { stop_at: Some((Stage::Texture, 30)), ..Witness::default() };
+    run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
+    let is_fitted = |p: &&Progress| matches!(p.stage, Stage::Geometry | Stage::Texture) && !p.losses.is_empty();
+    let first = witness.heard.iter().find(is_fitted).map(|p| (p.stage.name(), p.step));
+    let (stage, step) = first.expect("losses are read once a second");
+
+    let mut witness = Witness::default();
+    run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap();
+    let resumed_at = witness.heard.iter().find(|p| p.stage == Stage::Texture && p.step > 0).unwrap().step;
+    assert_eq!(resumed_at, 31);
+    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    let points: Vec<(&str, u64)> = report["losses"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|point| {
+            assert!(point["losses"].as_object().is_some_and(|losses| !losses.is_empty()), "{point}");
+            (point["stage"].as_str().unwrap(), point["step"].as_u64().unwrap())
+        })
+        .collect();
+    assert_eq!(points[0], (stage, u64::from(step)));
+    assert!(points.windows(2).all(|pair| pair[0] < pair[1]), "each step once, in order: {points:?}");
 }
 
 /// Stops a fit after so many steps, and writes down which they were.

@@ -1,0 +1,50 @@
+//! The losses of a job over its steps. They lie beside the checkpoint, so that a job that goes on from there shows them from the
+//! beginning; the fit itself does not need them.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::Stage;
+
+/// Mean losses a frame at a step of a stage.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct Point {
+    pub stage: Stage,
+    pub step: u32,
+    pub losses: BTreeMap<String, f64>,
+}
+
+#[derive(Debug)]
+pub(super) struct Curves {
+    file: PathBuf,
+    points: Vec<Point>,
+}
+
+impl Curves {
+    /// None so far; `work_dir` holds the checkpoints.
+    pub fn new(work_dir: &Path) -> Self {
+        Self { file: work_dir.join("losses.json"), points: Vec::new() }
+    }
+
+    pub fn points(&self) -> &[Point] {
+        &self.points
+    }
+
+    pub fn push(&mut self, stage: Stage, step: u32, losses: &BTreeMap<String, f64>) {
+        self.points.push(Point { stage, step, losses: losses.clone() });
+    }
+
+    /// Begins with what was saved, where a fit goes on from a checkpoint.
+    pub fn go_on(&mut self) {
+        let saved = std::fs::read(&self.file).ok().and_then(|json| serde_json::from_slice(&json).ok());
+        self.points = saved.unwrap_or_default();
+    }
+
+    /// A report with shorter curves is worth more than none: what goes wrong is logged.
+    pub fn save(&self) {
+        let json = serde_json::to_vec(&self.points).expect("numbers and names");
+        if let Err(error) = crate::storage::write_atomic(&self.file, &json) {
+            tracing::warn!(%error, "the losses are not kept");
+        }
+    }
+}
