@@ -19,8 +19,9 @@ const ROW: u32 = 32768u;
 
 var<workgroup> sums: array<u32, LANES>;
 var<workgroup> of_blocks: array<u32, LANES / BLOCK>;
-// How many tiles each class has, then where its next one goes.
+// How many tiles each class has, then where its next one goes; and how many drawn faces, then where its first one goes.
 var<workgroup> classes: array<atomic<u32>, SIZES>;
+var<workgroup> face_classes: array<u32, SIZES>;
 
 fn write_workgroups(at: u32, n: u32) {
     workgroups[at] = min(n, ROW);
@@ -40,6 +41,8 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     let end = min(first + chunk, params.n_tiles);
     for (var i = lane; i < SIZES; i += LANES) {
         atomicStore(&classes[i], 0u);
+        face_classes[i] = counts[params.n_tiles + i];
+        counts[params.n_tiles + i] = 0u;
     }
     workgroupBarrier();
     var sum = 0u;
@@ -64,9 +67,8 @@ fn main(@builtin(local_invocation_index) lane: u32) {
         var n_drawn = 0u;
         for (var i = 0u; i < SIZES; i++) {
             n_busy += atomicExchange(&classes[i], n_busy);
-            let faces = counts[params.n_tiles + i];
-            counts[params.n_tiles + i] = 0u;
-            cursors[params.n_tiles + i] = n_drawn;
+            let faces = face_classes[i];
+            face_classes[i] = n_drawn;
             n_drawn += faces;
         }
         busy[0] = n_busy;
@@ -77,6 +79,9 @@ fn main(@builtin(local_invocation_index) lane: u32) {
         write_workgroups(9u, dealt_groups(n_drawn));
     }
     workgroupBarrier();
+    for (var i = lane; i < SIZES; i += LANES) {
+        cursors[params.n_tiles + i] = face_classes[i];
+    }
     var at = 0u;
     for (var block = 0u; block < lane / BLOCK; block++) {
         at += of_blocks[block];

@@ -158,9 +158,9 @@ impl FitConfig {
         (phase.epochs * self.min_steps_a_pass.div_ceil(steps).max(1), steps)
     }
 
-    /// Steps of stage 2 over a clip of `n_frames`.
-    pub fn texture_steps(&self, n_frames: usize) -> u32 {
-        self.texture.phases.iter().map(|phase| self.passes(phase, n_frames)).map(|(passes, steps)| passes * steps).sum()
+    /// Steps of `phases` over a clip of `n_frames`.
+    pub fn steps(&self, phases: &[Phase], n_frames: usize) -> u32 {
+        phases.iter().map(|phase| self.passes(phase, n_frames)).map(|(passes, steps)| passes * steps).sum()
     }
 
     /// From where on a channel of a picture counts as white, which a light may exceed.
@@ -373,7 +373,7 @@ mod tests {
         let passes = [1, 8, 20, 24, 61].map(|n| config.passes(&phase, n));
         assert_eq!(passes, [(60, 1), (30, 2), (20, 5), (10, 6), (10, 16)]);
         assert_eq!(FitConfig::paper(0).passes(&phase, 8), (10, 2), "the paper's passes are its own");
-        assert_eq!(config.texture_steps(61), 40 * 16);
+        assert_eq!(config.steps(&config.geometry.phases, 61), (42 + 30) * 16);
     }
 
     #[test]

@@ -64,13 +64,12 @@ pub(super) fn run(
     outside: &mut Outside<'_>,
 ) -> Result<(), FitError> {
     let n_frames = scene.frames.len();
-    let of_phase = |phase: &Phase| config.passes(phase, n_frames);
-    let steps: u32 = phases.iter().map(of_phase).map(|(passes, each)| passes * each).sum();
+    let steps = config.steps(phases, n_frames);
     let mut pace = Pace::new();
     let mut number = 0;
     let (mut progress, resumed) = (state.progress.take(), state.step);
     for (nth, phase) in phases.iter().enumerate() {
-        let (passes, each) = of_phase(phase);
+        let (passes, each) = config.passes(phase, n_frames);
         let end = number + passes * each;
         // A phase that was interrupted after its last step has a pass to end.
         if end < resumed || (end == resumed && progress.is_none()) {

@@ -211,11 +211,6 @@ impl FitState {
         arrays
     }
 
-    /// Whether a step has been taken.
-    pub fn has_begun(&self) -> bool {
-        (self.stage, self.step) != (Stage::Geometry, 0)
-    }
-
     /// Reads a checkpoint into a state of the same shapes. `None` where it belongs to another fit: another number of
     /// frames, another body, another field.
     pub fn resume(&self, path: &Path) -> Result<Option<Self>, NpzError> {

@@ -8,8 +8,9 @@ use super::{STUDIES, Saved, Study};
 
 const HEAD: &str = "# Results
 
-What the paper claims, measured on this tree. `make results` runs every study and writes this page from the numbers that
-they leave in `docs/results/`; the verdicts are computed from them. Each study can be run alone with the command beside it.
+What the paper claims, measured. `make results` runs every study and writes this page from the numbers that they leave in
+`docs/results/`; the verdicts are computed from them. Each study can be run alone with the command beside it; its numbers are
+of the tree with which its file there was last written.
 ";
 
 /// The page from the files in `folder`; a study without one is left out.

@@ -38,8 +38,8 @@ pub const STUDY: Study = Study {
              keypoints, no prior, no neighbours in time. All methods start alike and take the same steps at the same rate: \
              a tenth of the initial error, falling tenfold. *SoftRas* is the paper's: soft colours, and the hard \
              silhouette through NMR. *NMR* and *edges* have hard colours and the hard silhouette, through NMR's sweeps or \
-             the edge gradient. *Edges + SoftRas* is what the preset `standard` uses. Places of joints say more than angles \
-             here: joints of a chain can make up for one another, and a limb's twist hardly shows.",
+             the edge gradient. *Edges + SoftRas* is what the preset `standard` uses, with the reach of the paper's. Places of \
+             joints say more than angles here: joints of a chain can make up for one another, and a limb's twist hardly shows.",
     run: |context| run(context, &Settings::default()),
 };
 

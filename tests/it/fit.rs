@@ -234,13 +234,15 @@ fn a_skirt_becomes_one_piece_and_learns_its_texture_anew() {
     std::fs::create_dir_all(folder.path().join("work")).unwrap();
     fitted.save(&checkpoint(folder.path())).unwrap();
 
-    let mut witness = Witness { stop_at: Some((Stage::Texture, 5)), ..Witness::default() };
+    let draft = FitConfig::draft(0);
+    let before = draft.steps(&draft.texture.phases, 12);
+    let mut witness = Witness { stop_at: Some((Stage::Texture, before + 5)), ..Witness::default() };
     let stopped = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness);
     assert!(matches!(stopped, Err(PipelineError::Stopped(_))), "{stopped:?}");
     let mut witness = Witness::default();
     run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap();
     let steps = witness.heard.iter().filter(|p| p.stage == Stage::Texture && p.step > 0).map(|p| p.step);
-    assert_eq!(steps.min(), Some(6), "it goes on where it was stopped");
+    assert_eq!(steps.min(), Some(before + 6), "it goes on where it was stopped");
     assert!(witness.heard.iter().map(|p| p.progress).is_sorted());
     assert!(!witness.previews.is_empty());
 
@@ -281,8 +283,8 @@ fn a_texture_goes_on_with_the_uploaded_pictures_where_they_are_larger() {
     let folder = tempfile::tempdir().unwrap();
     let mut small = input(clip(&gpu));
     small.options.max_side_px = Some(64);
-    let passes = FitConfig::draft(0).passes(&FitConfig::draft(0).texture.phases[0], 12);
-    let before = passes.0 * passes.1;
+    let draft = FitConfig::draft(0);
+    let before = draft.steps(&draft.texture.phases, 12);
     let mut witness = Witness { stop_at: Some((Stage::Texture, before + 5)), ..Witness::default() };
     let stopped = run(&gpu, &small, folder.path(), &mut witness);
     assert!(matches!(stopped, Err(PipelineError::Stopped(_))), "{stopped:?}");
@@ -293,7 +295,7 @@ fn a_texture_goes_on_with_the_uploaded_pictures_where_they_are_larger() {
     let mut witness = Witness::default();
     run(&gpu, &small, folder.path(), &mut witness).unwrap();
     let steps = witness.heard.iter().filter(|p| p.stage == Stage::Texture && p.step > 0).map(|p| p.step);
-    assert_eq!(steps.min(), Some(6), "it goes on where it was stopped");
+    assert_eq!(steps.min(), Some(before + 6), "it goes on where it was stopped");
     assert!(witness.heard.iter().map(|p| p.progress).is_sorted());
 
     let out = folder.path().join("out");

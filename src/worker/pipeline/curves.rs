@@ -18,30 +18,45 @@ pub(super) struct Point {
 pub(super) struct Curves {
     file: PathBuf,
     points: Vec<Point>,
+    /// Whether it is known what the fit goes on from; until then what lies in the file stays.
+    begun: bool,
 }
 
 impl Curves {
     /// None so far; `work_dir` holds the checkpoints.
     pub fn new(work_dir: &Path) -> Self {
-        Self { file: work_dir.join("losses.json"), points: Vec::new() }
+        Self { file: work_dir.join("losses.json"), points: Vec::new(), begun: false }
     }
 
     pub fn points(&self) -> &[Point] {
         &self.points
     }
 
+    /// For a fit that begins.
+    pub fn begin(&mut self) {
+        (self.points, self.begun) = (Vec::new(), true);
+    }
+
+    /// For a fit that goes on from a checkpoint, with what was saved of it.
+    pub fn go_on(&mut self) {
+        let saved = std::fs::read(&self.file).ok().and_then(|json| serde_json::from_slice(&json).ok());
+        (self.points, self.begun) = (saved.unwrap_or_default(), true);
+    }
+
+    /// Forgets what comes after a step, since it will come again: the file may be ahead of the checkpoint.
+    pub fn cut(&mut self, stage: Stage, step: u32) {
+        self.points.retain(|point| (point.stage, point.step) <= (stage, step));
+    }
+
     pub fn push(&mut self, stage: Stage, step: u32, losses: &BTreeMap<String, f64>) {
         self.points.push(Point { stage, step, losses: losses.clone() });
     }
 
-    /// Begins with what was saved, where a fit goes on from a checkpoint.
-    pub fn go_on(&mut self) {
-        let saved = std::fs::read(&self.file).ok().and_then(|json| serde_json::from_slice(&json).ok());
-        self.points = saved.unwrap_or_default();
-    }
-
     /// A report with shorter curves is worth more than none: what goes wrong is logged.
     pub fn save(&self) {
+        if !self.begun {
+            return;
+        }
         let json = serde_json::to_vec(&self.points).expect("numbers and names");
         if let Err(error) = crate::storage::write_atomic(&self.file, &json) {
             tracing::warn!(%error, "the losses are not kept");

@@ -63,8 +63,16 @@ pub fn run(
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
     let state = resumed(fresh, &checkpoint);
-    if state.has_begun() {
-        monitor.curves.go_on();
+    match (state.stage, state.step) {
+        (fit::Stage::Geometry, 0) => monitor.curves.begin(),
+        (stage, step) => {
+            monitor.curves.go_on();
+            match stage {
+                fit::Stage::Geometry => monitor.curves.cut(Stage::Geometry, step),
+                fit::Stage::Texture => monitor.curves.cut(Stage::Texture, step),
+                fit::Stage::Done => {}
+            }
+        }
     }
     let [tailored, detailed] = ["tailored.npz", "detailed.npz"].map(|file| work_dir.join(file));
     if state.stage != fit::Stage::Done {
@@ -76,16 +84,20 @@ pub fn run(
     monitor.start(Stage::Geometry)?;
     let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
     let mut state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
-    let mut texture_steps = config.texture_steps(capture.frames.len());
+    let steps_of = |config: &FitConfig| config.steps(&config.texture.phases, capture.frames.len());
+    let mut texture_steps = steps_of(&config);
     let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
     if let Some(skirt) = skirt {
         skirt.tailor(&mut body, &mut state);
         (state.stage, state.step) = (fit::Stage::Texture, 0);
         let state_before = resumed(state, &tailored);
         monitor.go_on_with(&tailored, texture_steps);
+        if state_before.stage != fit::Stage::Done {
+            monitor.curves.cut(Stage::Texture, texture_steps + state_before.step);
+        }
         monitor.preview_from(&body, &capture, &start.camera, &config, &state_before);
         let alone = config.clone().texture_alone();
-        texture_steps += alone.texture_steps(capture.frames.len());
+        texture_steps += steps_of(&alone);
         let fitted = fit::run(gpu, &body, &capture, &start.camera, &alone, state_before, &tailored, &mut monitor);
         state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     }
@@ -243,12 +255,12 @@ pub(super) struct Monitor<'a> {
     draws_curves: bool,
     stage: Stage,
     stage_started: Instant,
-    /// The first step of the stage in this run: a resumed one does not begin at zero.
+    /// The step of the stage at which this run began: a resumed one does not begin at zero.
     first_step: Option<u32>,
     losses: BTreeMap<String, f64>,
     /// Of the whole job.
     progress: f32,
-    /// Steps of the texture's stage before it began to go on with a tailored surface.
+    /// Steps of the texture's stage before it began to go on with a tailored surface, or with larger pictures.
     steps_before: u32,
     checkpoint: PathBuf,
     /// When the checkpoint was written that was last told of.
@@ -312,6 +324,7 @@ impl<'a> Monitor<'a> {
 
     /// The texture's stage goes on with another checkpoint; its steps are counted on.
     fn go_on_with(&mut self, checkpoint: &Path, steps_before: u32) {
+        self.curves.save();
         self.steps_before = steps_before;
         (self.checkpoint, self.saved) = (checkpoint.into(), written(checkpoint));
     }
@@ -338,7 +351,7 @@ impl<'a> Monitor<'a> {
         // More steps may come than were known of.
         let progress = (before + share * done).clamp(self.progress, 1.0);
         self.progress = progress;
-        let first = *self.first_step.get_or_insert(step);
+        let first = self.first_step.unwrap_or(0);
         let elapsed = self.stage_started.elapsed().as_secs_f64();
         // The rest of this stage at its pace so far, and the later stages by their shares.
         let eta_secs = (step > first && elapsed > 1.0).then(|| {
@@ -367,6 +380,7 @@ impl Control for Monitor<'_> {
             self.enter(stage);
         }
         let (step, steps) = (self.steps_before + report.step, self.steps_before + report.steps);
+        self.first_step.get_or_insert(step - 1);
         if let Some(losses) = report.losses {
             self.losses = losses.iter().map(|(name, value)| ((*name).to_owned(), *value as f64)).collect();
             if self.draws_curves {

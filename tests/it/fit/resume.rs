@@ -51,6 +51,14 @@ fn a_fit_that_goes_on_reports_its_losses_from_the_beginning() {
     let first = witness.heard.iter().find(is_fitted).map(|p| (p.stage.name(), p.step));
     let (stage, step) = first.expect("losses are read once a second");
 
+    // Stopped before it is known what it goes on from; and losses of a step that was not kept.
+    let mut witness = Witness { stop_at: Some((Stage::Decode, 0)), ..Witness::default() };
+    run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
+    let kept = folder.path().join("work/losses.json");
+    let mut points: Vec<serde_json::Value> = serde_json::from_slice(&std::fs::read(&kept).unwrap()).unwrap();
+    points.push(serde_json::json!({ "stage": "texture", "step": 31, "losses": { "lost": 1.0 } }));
+    std::fs::write(&kept, serde_json::to_vec(&points).unwrap()).unwrap();
+
     let mut witness = Witness::default();
     run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap();
     let resumed_at = witness.heard.iter().find(|p| p.stage == Stage::Texture && p.step > 0).unwrap().step;
@@ -67,6 +75,7 @@ fn a_fit_that_goes_on_reports_its_losses_from_the_beginning() {
         })
         .collect();
     assert_eq!(points[0], (stage, u64::from(step)));
+    assert!(!report["losses"].to_string().contains("lost"));
     assert!(points.windows(2).all(|pair| pair[0] < pair[1]), "each step once, in order: {points:?}");
 }
 
