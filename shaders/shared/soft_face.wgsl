@@ -16,14 +16,17 @@ fn size_class(n: u32) -> u32 {
     return SIZES - 1u - min(4u * octave + (((n << 2u) >> octave) & 3u), SIZES - 1u);
 }
 
+// Invocations of a workgroup that take an item each.
+const WORKGROUP: u32 = 64u;
+
 // Which item of a list in that order an invocation takes. A software driver gives each of its threads one stretch of the
 // workgroups; groups next to each other lie DEALT apart in the list, so that each stretch has all sizes.
 const DEALT: u32 = 8u;
 
-fn dealt_item(group: vec3<u32>, groups: vec3<u32>, lane: u32, workgroup_size: u32) -> u32 {
+fn dealt_item(group: vec3<u32>, groups: vec3<u32>, lane: u32) -> u32 {
     let rounds = groups.x * groups.y / DEALT;
     let g = group.x + group.y * groups.x;
-    return ((g % rounds) * DEALT + g / rounds) * workgroup_size + lane;
+    return ((g % rounds) * DEALT + g / rounds) * WORKGROUP + lane;
 }
 
 // Pixels of a box `first | last << 16` along both axes.

@@ -1,5 +1,5 @@
-// A face's gradient at a pixel; see src/ops/soft_rasterize/mod.rs. The importing file imports shared/soft_face and binds `records`,
-// `boxes`, `face_colours`, `pixels`, `pixels_rest` and `grad_corners`.
+// A face's gradient at a pixel, with the bindings of the two divisions of that work; see src/ops/soft_rasterize/mod.rs. The
+// importing file imports shared/soft_face.
 //
 // With the score s = ln D + (z^ - 1)/gamma, weight w = exp(s)/W, D = sigmoid(x), x = +-d^2/sigma:
 //   dL/ds = w (g.C - g.rgb),  dL/dx = dL/ds (1 - D) + T dL/dalpha D,  dL/dC = w g.
@@ -9,6 +9,16 @@
 
 // Whether alpha has a gradient.
 #const COVERAGE: bool = true
+
+@group(0) @binding(0) var<uniform> params: SoftParams;
+@group(0) @binding(1) var<storage, read> records: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> boxes: array<vec2<u32>>;
+@group(0) @binding(3) var<storage, read> face_colours: array<f32>;
+@group(0) @binding(4) var<storage, read> pixels: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> pixels_rest: array<vec2<f32>>;
+@group(0) @binding(6) var<storage, read> drawn: array<u32>;
+@group(0) @binding(7) var<storage, read_write> grad_corners: array<f32>;
+@group(0) @binding(8) var<storage, read_write> grad_face_colours: array<f32>;
 
 // Sums over pixels. The gradient by the barycentric coordinates moves corners by how far they lie from the pixel: by its sum and
 // its moments.

@@ -1,5 +1,5 @@
-// A tile's pixels and their shares of faces; see src/ops/soft_rasterize/mod.rs. The importing file imports shared/soft_face and
-// binds `records`, `face_colours`, `starts`, `entries`, `rgb`, `alpha` and `state`.
+// A tile's pixels and their shares of faces, with the bindings of the two divisions of that work; see
+// src/ops/soft_rasterize/mod.rs. The importing file imports shared/soft_face.
 //
 // An invocation keeps its shares of all the tile's pixels in registers, because fetching a face costs as much as testing it
 // against ten pixels. A list that did not fit is replaced by all faces: slow, and right.
@@ -9,6 +9,16 @@
 
 // Whether alpha is wanted.
 #const COVERAGE: bool = true
+
+@group(0) @binding(0) var<uniform> params: SoftParams;
+@group(0) @binding(1) var<storage, read> records: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> face_colours: array<f32>;
+@group(0) @binding(3) var<storage, read> starts: array<u32>;
+@group(0) @binding(4) var<storage, read> entries: array<u32>;
+@group(0) @binding(5) var<storage, read_write> rgb: array<f32>;
+@group(0) @binding(6) var<storage, read_write> alpha: array<f32>;
+@group(0) @binding(7) var<storage, read_write> state: array<vec2<f32>>;
+@group(0) @binding(8) var<storage, read> busy: array<u32>;
 
 struct Share {
     most: f32,

@@ -5,16 +5,6 @@
 
 #const LANES: u32 = 32u
 
-@group(0) @binding(0) var<uniform> params: SoftParams;
-@group(0) @binding(1) var<storage, read> records: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read> boxes: array<vec2<u32>>;
-@group(0) @binding(3) var<storage, read> face_colours: array<f32>;
-@group(0) @binding(4) var<storage, read> pixels: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> pixels_rest: array<vec2<f32>>;
-@group(0) @binding(6) var<storage, read> drawn: array<u32>;
-@group(0) @binding(7) var<storage, read_write> grad_corners: array<f32>;
-@group(0) @binding(8) var<storage, read_write> grad_face_colours: array<f32>;
-
 var<workgroup> sums: array<f32, TOLD * LANES>;
 var<workgroup> totals: array<f32, TOLD>;
 

@@ -3,25 +3,13 @@
 #import shared/soft_face
 #import shared/soft_tile
 
-#const WORKGROUP: u32 = 64u
-
-@group(0) @binding(0) var<uniform> params: SoftParams;
-@group(0) @binding(1) var<storage, read> records: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read> face_colours: array<f32>;
-@group(0) @binding(3) var<storage, read> starts: array<u32>;
-@group(0) @binding(4) var<storage, read> entries: array<u32>;
-@group(0) @binding(5) var<storage, read_write> rgb: array<f32>;
-@group(0) @binding(6) var<storage, read_write> alpha: array<f32>;
-@group(0) @binding(7) var<storage, read_write> state: array<vec2<f32>>;
-@group(0) @binding(8) var<storage, read> busy: array<u32>;
-
 @compute @workgroup_size(WORKGROUP)
 fn main(
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
 ) {
-    let place = dealt_item(group, groups, lane, WORKGROUP);
+    let place = dealt_item(group, groups, lane);
     if place >= busy[0] {
         return;
     }

@@ -5,16 +5,6 @@
 
 #const LANES: u32 = 32u
 
-@group(0) @binding(0) var<uniform> params: SoftParams;
-@group(0) @binding(1) var<storage, read> records: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read> face_colours: array<f32>;
-@group(0) @binding(3) var<storage, read> starts: array<u32>;
-@group(0) @binding(4) var<storage, read> entries: array<u32>;
-@group(0) @binding(5) var<storage, read_write> rgb: array<f32>;
-@group(0) @binding(6) var<storage, read_write> alpha: array<f32>;
-@group(0) @binding(7) var<storage, read_write> state: array<vec2<f32>>;
-@group(0) @binding(8) var<storage, read> busy: array<u32>;
-
 // (most, weight, clear, red) and (green, blue) of each pixel and invocation.
 var<workgroup> shares: array<vec4<f32>, TILE_PIXELS * LANES>;
 var<workgroup> shares_gb: array<vec2<f32>, TILE_PIXELS * LANES>;

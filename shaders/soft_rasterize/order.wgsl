@@ -2,8 +2,6 @@
 // every run. They arrive nearly in order, and lists are short: a Shell sort, whose last round looks at each face once.
 #import shared/soft_face
 
-#const WORKGROUP: u32 = 64u
-
 @group(0) @binding(0) var<uniform> params: SoftParams;
 @group(0) @binding(1) var<storage, read> starts: array<u32>;
 @group(0) @binding(2) var<storage, read> busy: array<u32>;
@@ -34,7 +32,7 @@ fn main(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
 ) {
-    let place = dealt_item(group, groups, lane, WORKGROUP);
+    let place = dealt_item(group, groups, lane);
     if place >= busy[0] {
         return;
     }

@@ -3,7 +3,6 @@
 #import shared/soft_face
 
 #const LANES: u32 = 256u
-#const WORKGROUP: u32 = 64u
 // Lanes whose sums are summed up first.
 const BLOCK: u32 = 32u;
 // Workgroups along x at most; see `linear_groups` of the host.

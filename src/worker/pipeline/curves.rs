@@ -18,32 +18,27 @@ pub(super) struct Point {
 pub(super) struct Curves {
     file: PathBuf,
     points: Vec<Point>,
-    /// Whether it is known what the fit goes on from; until then what lies in the file stays.
-    begun: bool,
+    /// Until they are loaded what lies in the file stays.
+    loaded: bool,
 }
 
 impl Curves {
     /// None so far; `work_dir` holds the checkpoints.
     pub fn new(work_dir: &Path) -> Self {
-        Self { file: work_dir.join("losses.json"), points: Vec::new(), begun: false }
+        Self { file: work_dir.join("losses.json"), points: Vec::new(), loaded: false }
     }
 
     pub fn points(&self) -> &[Point] {
         &self.points
     }
 
-    /// For a fit that begins.
-    pub fn begin(&mut self) {
-        (self.points, self.begun) = (Vec::new(), true);
-    }
-
-    /// For a fit that goes on from a checkpoint, with what was saved of it.
-    pub fn go_on(&mut self) {
+    /// Goes on with what was saved.
+    pub fn load(&mut self) {
         let saved = std::fs::read(&self.file).ok().and_then(|json| serde_json::from_slice(&json).ok());
-        (self.points, self.begun) = (saved.unwrap_or_default(), true);
+        (self.points, self.loaded) = (saved.unwrap_or_default(), true);
     }
 
-    /// Forgets what comes after a step, since it will come again: the file may be ahead of the checkpoint.
+    /// Forgets what comes after a step, since it will come again: the file may be ahead of the checkpoint, or of an earlier fit.
     pub fn cut(&mut self, stage: Stage, step: u32) {
         self.points.retain(|point| (point.stage, point.step) <= (stage, step));
     }
@@ -54,7 +49,7 @@ impl Curves {
 
     /// A report with shorter curves is worth more than none: what goes wrong is logged.
     pub fn save(&self) {
-        if !self.begun {
+        if !self.loaded {
             return;
         }
         let json = serde_json::to_vec(&self.points).expect("numbers and names");

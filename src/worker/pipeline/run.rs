@@ -63,16 +63,11 @@ pub fn run(
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
     let state = resumed(fresh, &checkpoint);
-    match (state.stage, state.step) {
-        (fit::Stage::Geometry, 0) => monitor.curves.begin(),
-        (stage, step) => {
-            monitor.curves.go_on();
-            match stage {
-                fit::Stage::Geometry => monitor.curves.cut(Stage::Geometry, step),
-                fit::Stage::Texture => monitor.curves.cut(Stage::Texture, step),
-                fit::Stage::Done => {}
-            }
-        }
+    monitor.curves.load();
+    match state.stage {
+        fit::Stage::Geometry => monitor.curves.cut(Stage::Geometry, state.step),
+        fit::Stage::Texture => monitor.curves.cut(Stage::Texture, state.step),
+        fit::Stage::Done => {}
     }
     let [tailored, detailed] = ["tailored.npz", "detailed.npz"].map(|file| work_dir.join(file));
     if state.stage != fit::Stage::Done {
