@@ -144,5 +144,8 @@ fn worker_command(store: &Store, in_force: &InForce) -> Result<SupervisorSetting
     let program = std::env::current_exe().context("finding this program for its worker")?;
     let mut arguments = vec!["worker".to_string(), "--renders-on-stdio".into()];
     arguments.extend(in_force.worker_flags(store.root().to_str().context("the data folder's name is no UTF-8")?));
-    Ok(SupervisorSettings::new(program, arguments, store.renders()))
+    let settings = SupervisorSettings::new(program, arguments, store.renders());
+    // A fit that hangs ends by itself after this time; what has only been asked for may wait as long again as a render.
+    let silence = Duration::from_secs(in_force.config.stall_secs.into()) + settings.timeout;
+    Ok(SupervisorSettings { silence, ..settings })
 }

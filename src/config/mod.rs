@@ -93,7 +93,8 @@ settings! {
     serve upload_ttl_secs: u32 = "86400";
     /// Remove a job's files so many days after its end; without it they stay.
     both retain_days: Option<u32> = "";
-    /// A fit that shows no step for so many seconds hangs: its attempt ends, and the worker's process is started anew.
+    /// A fit that shows no step for so many seconds hangs: its attempt ends, and the worker's process is started anew;
+    /// so is one that answers no render for a minute longer.
     both stall_secs: u32 = "600";
     /// So many jobs may wait; more are refused with 429.
     serve max_queued: u32 = "1000";

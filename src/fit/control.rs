@@ -19,7 +19,10 @@ pub struct StepReport<'a> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flow {
     Continue,
+    /// With a checkpoint, from which another run goes on.
     Stop,
+    /// As it is: the checkpoint is somebody else's by now.
+    Abandon,
 }
 
 /// Called between iterations on the thread that owns the device.

@@ -185,7 +185,7 @@ pub(super) fn decay(step: u32, steps: u32) -> f32 {
     0.1f32.powf(step as f32 / steps.max(1) as f32)
 }
 
-/// Reads losses and writes the checkpoint when it is time; reports, and stops when told to.
+/// Reads losses when it is time, and reports; stops when told to, or writes the checkpoint when it is time.
 fn after_step(
     scene: &Scene,
     work: &mut dyn Work,
@@ -198,13 +198,15 @@ fn after_step(
     let step = state.step;
     let due = pace.losses_due() || step == steps;
     let losses = if due { Some(work.losses().report(scene, step)?) } else { None };
-    if pace.checkpoint_due() {
-        checkpoint(scene, work, state, begun, outside.checkpoint)?;
-    }
     let report = StepReport { stage: state.stage, step, steps, losses: losses.as_ref() };
-    if outside.control.after_step(&report) == Flow::Stop {
-        checkpoint(scene, work, state, begun, outside.checkpoint)?;
-        return Err(FitError::Stopped);
+    match outside.control.after_step(&report) {
+        Flow::Continue if !pace.checkpoint_due() => {}
+        Flow::Continue => checkpoint(scene, work, state, begun, outside.checkpoint)?,
+        Flow::Stop => {
+            checkpoint(scene, work, state, begun, outside.checkpoint)?;
+            return Err(FitError::Stopped);
+        }
+        Flow::Abandon => return Err(FitError::Stopped),
     }
     if outside.control.wants_look() {
         work.read_into(state)?;

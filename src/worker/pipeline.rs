@@ -3,6 +3,7 @@
 mod closeups;
 mod curves;
 mod export;
+mod monitor;
 mod page;
 mod preview;
 mod quality;
@@ -123,7 +124,7 @@ pub trait Observer {
     /// A picture of the avatar in the making.
     fn preview(&mut self, _preview: Preview) {}
 
-    /// Asked between iterations; `Some` means: write a checkpoint and return [`PipelineError::Stopped`].
+    /// Asked between iterations; `Some` means: write a checkpoint, unless another has the job, and return [`PipelineError::Stopped`].
     fn stop(&mut self) -> Option<StopReason>;
 
     /// Called between iterations with the device at rest, so that others' renders need not wait for the end.

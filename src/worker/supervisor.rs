@@ -27,6 +27,9 @@ pub struct SupervisorSettings {
     pub queue: usize,
     /// From a request to its answer, restarts of the worker included.
     pub timeout: Duration,
+    /// A worker that answers nothing for so long, while a request waits for it, hangs, and is killed. A fit that hangs ends by
+    /// itself, and sooner.
+    pub silence: Duration,
     /// Wait before the first restart; doubles while the worker keeps dying young.
     pub backoff: Duration,
     pub backoff_max: Duration,
@@ -42,6 +45,7 @@ impl SupervisorSettings {
             renders,
             queue: 16,
             timeout: Duration::from_secs(60),
+            silence: Duration::from_secs(660),
             backoff: Duration::from_millis(500),
             backoff_max: Duration::from_secs(30),
             grace: Duration::from_secs(30),
@@ -67,16 +71,23 @@ pub struct Supervisor {
 }
 
 /// The connection to the present worker, if there is one.
-#[derive(Default)]
 struct Line {
     requests: Option<mpsc::UnboundedSender<String>>,
     waiting: HashMap<u64, Waiting>,
+    /// When the worker last answered, or was asked with nothing else to answer.
+    quiet_since: Instant,
+}
+
+impl Line {
+    fn new(requests: Option<mpsc::UnboundedSender<String>>) -> Line {
+        Line { requests, waiting: HashMap::new(), quiet_since: Instant::now() }
+    }
 }
 
 struct Waiting {
     to: PathBuf,
     answer: oneshot::Sender<Result<(), RenderError>>,
-    slot: OwnedSemaphorePermit,
+    slot: Arc<OwnedSemaphorePermit>,
 }
 
 impl Supervisor {
@@ -86,7 +97,7 @@ impl Supervisor {
             settings,
             slots,
             next_id: AtomicU64::new(1),
-            line: Mutex::default(),
+            line: Mutex::new(Line::new(None)),
             up: watch::Sender::new(false),
             stop: watch::Sender::new(false),
         })
@@ -132,7 +143,7 @@ impl Supervisor {
     async fn accompany(&self, child: &mut Child, stop: &mut watch::Receiver<bool>) {
         let (Some(mut stdin), Some(stdout)) = (child.stdin.take(), child.stdout.take()) else { return };
         let (requests, mut outgoing) = mpsc::unbounded_channel::<String>();
-        self.line.lock().unwrap().requests = Some(requests);
+        *self.line.lock().unwrap() = Line::new(Some(requests));
         self.up.send_replace(true);
         tracing::info!(pid = child.id(), "the worker has started");
         let write = async move {
@@ -146,6 +157,10 @@ impl Supervisor {
         let ended = tokio::select! {
             () = self.pass_answers(&mut answers) => child.wait().await,
             _ = &mut write => child.wait().await,
+            () = self.silence() => {
+                tracing::error!("the worker answers nothing and is killed");
+                child.start_kill().and(child.wait().await)
+            }
             _ = stop.changed() => {
                 // The end of its input tells the worker to write a checkpoint and give its job back.
                 drop(write);
@@ -168,6 +183,17 @@ impl Supervisor {
         }
     }
 
+    /// Until a request has waited too long for a worker that answers nothing.
+    async fn silence(&self) {
+        let quiet = || {
+            let line = self.line.lock().unwrap();
+            if line.waiting.is_empty() { Duration::ZERO } else { line.quiet_since.elapsed() }
+        };
+        while let Some(rest) = self.settings.silence.checked_sub(quiet()).filter(|rest| !rest.is_zero()) {
+            tokio::time::sleep(rest).await;
+        }
+    }
+
     /// Until the worker closes its output.
     async fn pass_answers(&self, answers: &mut Lines<BufReader<ChildStdout>>) {
         while let Ok(Some(line)) = answers.next_line().await {
@@ -179,7 +205,10 @@ impl Supervisor {
     }
 
     fn pass(&self, answer: Answer) {
-        let waiting = self.line.lock().unwrap().waiting.remove(&answer.id);
+        let mut line = self.line.lock().unwrap();
+        line.quiet_since = Instant::now();
+        let waiting = line.waiting.remove(&answer.id);
+        drop(line);
         let Some(Waiting { to, answer: waits, slot }) = waiting else { return };
         // Whoever is answered finds the place free.
         drop(slot);
@@ -192,19 +221,20 @@ impl Supervisor {
     /// The worker is gone: whoever waits for it learns so.
     fn hang_up(&self) {
         self.up.send_replace(false);
-        *self.line.lock().unwrap() = Line::default();
+        *self.line.lock().unwrap() = Line::new(None);
     }
 
     async fn try_render(&self, request: RenderRequest) -> Result<PathBuf, RenderError> {
         let deadline = Instant::now() + self.settings.timeout;
         let unavailable = |why: &str| RenderError::Unavailable(why.into());
+        // Kept over the worker's death.
+        let slot = Arc::new(self.slots.clone().try_acquire_owned().map_err(|_| RenderError::Busy)?);
         for _ in 0..MAX_DEATHS {
-            let slot = self.slots.clone().try_acquire_owned().map_err(|_| RenderError::Busy)?;
             let mut up = self.up.subscribe();
             let there = timeout_at(deadline, up.wait_for(|up| *up)).await;
             there.map_err(|_| unavailable("it is starting"))?.map_err(|_| unavailable("it has ended"))?;
             let id = self.next_id.fetch_add(1, Ordering::Relaxed);
-            let (to, answer) = self.send(id, &request, slot)?;
+            let (to, answer) = self.send(id, &request, slot.clone())?;
             match timeout_at(deadline, answer).await {
                 Ok(Ok(result)) => return result.map(|()| to),
                 // It died with the request; a fresh one may do better.
@@ -220,7 +250,7 @@ impl Supervisor {
         &self,
         id: u64,
         request: &RenderRequest,
-        slot: OwnedSemaphorePermit,
+        slot: Arc<OwnedSemaphorePermit>,
     ) -> Result<(PathBuf, oneshot::Receiver<Result<(), RenderError>>), RenderError> {
         let extension = match request.what {
             What::Image(_) => "png",
@@ -234,6 +264,9 @@ impl Supervisor {
         let mut present = self.line.lock().unwrap();
         // Where the worker died since it was seen up, dropping `answer` tells the caller.
         if present.requests.as_ref().is_some_and(|requests| requests.send(line).is_ok()) {
+            if present.waiting.is_empty() {
+                present.quiet_since = Instant::now();
+            }
             present.waiting.insert(id, Waiting { to: to.clone(), answer, slot });
         }
         Ok((to, answered))

@@ -54,11 +54,12 @@ pub fn input(clip: &Path) -> PipelineInput {
     }
 }
 
-/// Writes down what it hears; asks to stop at a step of a stage.
+/// Writes down what it hears; asks to stop at a step of a stage, as a user who cancels unless `lost` is set.
 #[derive(Default)]
 struct Witness {
     heard: Vec<Progress>,
     stop_at: Option<(Stage, u32)>,
+    lost: bool,
     idle: usize,
     previews: Vec<Preview>,
 }
@@ -79,7 +80,8 @@ impl Observer for Witness {
     fn stop(&mut self) -> Option<StopReason> {
         let last = self.heard.last()?;
         let (stage, step) = self.stop_at?;
-        (last.stage == stage && last.step >= step).then_some(StopReason::Cancel)
+        let reason = if self.lost { StopReason::LostLease } else { StopReason::Cancel };
+        (last.stage == stage && last.step >= step).then_some(reason)
     }
 
     fn idle(&mut self, _gpu: &Arc<Gpu>) {
@@ -229,10 +231,7 @@ fn a_skirt_becomes_one_piece_and_learns_its_texture_anew() {
     let Some(gpu) = gpu("a_skirt_becomes_one_piece_and_learns_its_texture_anew") else { return };
     let folder = tempfile::tempdir().unwrap();
     let start = Start::new(&gpu, 12);
-    let mut fitted = FitState { stage: fit::Stage::Done, ..start.state.clone() };
-    wear_a_skirt(&start.body, &mut fitted);
-    std::fs::create_dir_all(folder.path().join("work")).unwrap();
-    fitted.save(&checkpoint(folder.path())).unwrap();
+    start.fitted_with_a_skirt(folder.path());
 
     let draft = FitConfig::draft(0);
     let before = draft.steps(&draft.texture.phases, 12);
@@ -360,6 +359,14 @@ impl Start {
         let field = FitConfig::draft(0).field;
         let state = FitState::new(&body, start.betas, &start.poses, &start.transl, field, 0);
         Self { body, capture, camera: start.camera, state }
+    }
+
+    /// Leaves the checkpoint of a fit that is done and has shaped a skirt of two legs in a job's folder.
+    fn fitted_with_a_skirt(&self, folder: &Path) {
+        let mut fitted = FitState { stage: fit::Stage::Done, ..self.state.clone() };
+        wear_a_skirt(&self.body, &mut fitted);
+        std::fs::create_dir_all(folder.join("work")).unwrap();
+        fitted.save(&checkpoint(folder)).unwrap();
     }
 
     fn fit(&self, gpu: &Arc<Gpu>, config: &FitConfig, state: FitState) -> (Result<FitState, FitError>, Patient) {

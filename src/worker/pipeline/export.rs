@@ -6,9 +6,9 @@ use std::sync::Arc;
 use serde_json::json;
 
 use super::closeups::Filmed;
+use super::monitor::Monitor;
 use super::page;
 use super::quality::Quality;
-use super::run::Monitor;
 use super::score::{FrameScore, score_frames};
 use super::{Outcome, PipelineError, PipelineInput, Stage};
 use crate::avatar::{AvatarModel, Renderer};

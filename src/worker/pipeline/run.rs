@@ -1,15 +1,13 @@
 //! The stages in order.
 
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-use std::time::{Instant, SystemTime};
 
 use anyhow::anyhow;
 
 use super::curves::Curves;
-use super::preview::Previews;
-use super::{Observer, Outcome, PipelineError, PipelineInput, Preview, Progress, Stage, StopReason, export};
+use super::monitor::Monitor;
+use super::{Observer, Outcome, PipelineError, PipelineInput, Stage, StopReason, export};
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureOptions};
@@ -17,23 +15,10 @@ use crate::fit::covered::Covered;
 use crate::fit::detail::{Closer, Detail};
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, FocalCheck, Stage0Error, Stage0Options, Stage0Result};
-use crate::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport, pelvis};
+use crate::fit::{self, FitConfig, FitError, FitState, pelvis};
 use crate::gpu::Gpu;
 use crate::jobs::{JobOptions, Preset};
 use crate::quality;
-
-/// The part of a job that each stage takes, roughly, for the progress of the whole.
-const SHARES: [(Stage, f32); 6] = [
-    (Stage::Decode, 0.02),
-    (Stage::Pose, 0.06),
-    (Stage::Geometry, 0.47),
-    (Stage::Texture, 0.35),
-    (Stage::Bake, 0.05),
-    (Stage::Export, 0.05),
-];
-
-/// Seconds that each stage took.
-pub(super) type StageSecs = BTreeMap<&'static str, f64>;
 
 /// Runs a job. `data_dir` holds `bodies/`; `work_dir` holds the checkpoint and survives restarts: after a
 /// stop a later run goes on from there; `out_dir` gets the results.
@@ -237,165 +222,5 @@ fn from_fit(error: FitError, stopped: Option<StopReason>) -> PipelineError {
         }
         FitError::Device(error) => PipelineError::Device(error),
         other => PipelineError::Internal(other.into()),
-    }
-}
-
-/// Turns steps of stages into the progress of the whole, and asks whether to go on.
-pub(super) struct Monitor<'a> {
-    gpu: &'a Arc<Gpu>,
-    observer: &'a mut dyn Observer,
-    pub(super) stopped: Option<StopReason>,
-    pub(super) secs: StageSecs,
-    pub(super) curves: Curves,
-    draws_curves: bool,
-    stage: Stage,
-    stage_started: Instant,
-    /// The step of the stage at which this run began: a resumed one does not begin at zero.
-    first_step: Option<u32>,
-    losses: BTreeMap<String, f64>,
-    /// Of the whole job.
-    progress: f32,
-    /// Steps of the texture's stage before it began to go on with a tailored surface, or with larger pictures.
-    steps_before: u32,
-    checkpoint: PathBuf,
-    /// When the checkpoint was written that was last told of.
-    saved: Option<SystemTime>,
-    /// Where they are wanted, from the end of stage 0 on.
-    previews: Option<Previews>,
-    /// What was last told.
-    told: Option<Progress>,
-}
-
-impl<'a> Monitor<'a> {
-    fn new(gpu: &'a Arc<Gpu>, observer: &'a mut dyn Observer, checkpoint: &Path, curves: Curves) -> Self {
-        Self {
-            gpu,
-            observer,
-            stopped: None,
-            secs: BTreeMap::new(),
-            curves,
-            draws_curves: true,
-            stage: Stage::Decode,
-            stage_started: Instant::now(),
-            first_step: None,
-            losses: BTreeMap::new(),
-            progress: 0.0,
-            steps_before: 0,
-            checkpoint: checkpoint.into(),
-            saved: written(checkpoint),
-            previews: None,
-            told: None,
-        }
-    }
-
-    /// Ends the current stage and starts the next; an error where somebody wants to stop.
-    pub(super) fn start(&mut self, stage: Stage) -> Result<(), PipelineError> {
-        self.enter(stage);
-        match self.go_on() {
-            true => Ok(()),
-            false => Err(PipelineError::Stopped(self.stopped.unwrap_or(StopReason::Shutdown))),
-        }
-    }
-
-    pub(super) fn end(&mut self) {
-        *self.secs.entry(self.stage.name()).or_default() += self.stage_started.elapsed().as_secs_f64();
-        self.stage_started = Instant::now();
-    }
-
-    fn enter(&mut self, stage: Stage) {
-        self.end();
-        self.stage = stage;
-        self.first_step = None;
-        self.tell(stage, 0, 1);
-    }
-
-    /// Draws what is fitted on this body from now on, where that is wanted.
-    fn preview_from(&mut self, body: &Body, capture: &Capture, camera: &Camera, config: &FitConfig, state: &FitState) {
-        if self.observer.takes_previews() {
-            self.previews = Some(Previews::new(body, capture, camera, config, state));
-            self.look(state);
-        }
-    }
-
-    /// The texture's stage goes on with another checkpoint; its steps are counted on.
-    fn go_on_with(&mut self, checkpoint: &Path, steps_before: u32) {
-        self.curves.save();
-        self.steps_before = steps_before;
-        (self.checkpoint, self.saved) = (checkpoint.into(), written(checkpoint));
-    }
-
-    fn go_on(&mut self) -> bool {
-        let saved = written(&self.checkpoint);
-        if saved != self.saved {
-            self.saved = saved;
-            self.curves.save();
-            self.observer.saved(self.progress);
-        }
-        self.observer.idle(self.gpu);
-        self.stopped = self.stopped.or_else(|| self.observer.stop());
-        if self.stopped.is_some() {
-            self.curves.save();
-        }
-        self.stopped.is_none()
-    }
-
-    pub(super) fn tell(&mut self, stage: Stage, step: u32, steps: u32) {
-        let before: f32 = SHARES.iter().take_while(|(s, _)| *s != stage).map(|(_, share)| share).sum();
-        let share = SHARES.iter().find(|(s, _)| *s == stage).map_or(0.0, |(_, share)| *share);
-        let done = step as f32 / steps.max(1) as f32;
-        // More steps may come than were known of.
-        let progress = (before + share * done).clamp(self.progress, 1.0);
-        self.progress = progress;
-        let first = self.first_step.unwrap_or(0);
-        let elapsed = self.stage_started.elapsed().as_secs_f64();
-        // The rest of this stage at its pace so far, and the later stages by their shares.
-        let eta_secs = (step > first && elapsed > 1.0).then(|| {
-            let whole = elapsed / ((step - first) as f64 / steps.max(1) as f64);
-            whole * (1.0 - done as f64) + whole / share as f64 * (1.0 - before - share).max(0.0) as f64
-        });
-        let losses = self.losses.clone();
-        let told = Progress { stage, step, steps, progress, eta_secs, losses };
-        self.observer.progress(&told);
-        self.told = Some(told);
-    }
-}
-
-/// When a file was written, if it is there.
-fn written(path: &Path) -> Option<SystemTime> {
-    path.metadata().and_then(|meta| meta.modified()).ok()
-}
-
-impl Control for Monitor<'_> {
-    fn after_step(&mut self, report: &StepReport<'_>) -> Flow {
-        let stage = match report.stage {
-            fit::Stage::Geometry => Stage::Geometry,
-            _ => Stage::Texture,
-        };
-        if stage != self.stage {
-            self.enter(stage);
-        }
-        let (step, steps) = (self.steps_before + report.step, self.steps_before + report.steps);
-        self.first_step.get_or_insert(step - 1);
-        if let Some(losses) = report.losses {
-            self.losses = losses.iter().map(|(name, value)| ((*name).to_owned(), *value as f64)).collect();
-            if self.draws_curves {
-                self.curves.push(stage, step, &self.losses);
-            }
-        }
-        self.tell(stage, step, steps);
-        if self.go_on() { Flow::Continue } else { Flow::Stop }
-    }
-
-    fn wants_look(&mut self) -> bool {
-        self.previews.as_ref().is_some_and(|previews| previews.is_due(self.progress))
-    }
-
-    /// A picture is worth showing, not failing for: what is wrong with the device the next step finds out.
-    fn look(&mut self, state: &FitState) {
-        let (Some(previews), Some(at)) = (&mut self.previews, &self.told) else { return };
-        match previews.draw(self.gpu, state, self.progress) {
-            Ok(jpeg) => self.observer.preview(Preview { jpeg, at: at.clone() }),
-            Err(error) => tracing::warn!(%error, "no preview"),
-        }
     }
 }

@@ -2,7 +2,7 @@
 
 use image::{GrayImage, Luma};
 
-use super::run::Monitor;
+use super::monitor::Monitor;
 use super::{PipelineError, Stage};
 use crate::avatar::{Background, RenderSpec, Renderer};
 use crate::camera::Camera;

@@ -76,6 +76,43 @@ async fn a_worker_that_is_silent_or_never_starts_is_unavailable() {
 }
 
 #[tokio::test]
+async fn a_request_keeps_its_place_over_its_workers_death() {
+    let folder = tempfile::tempdir().unwrap();
+    let mark = folder.path().join("died");
+    let script = format!("if [ ! -e {0} ]; then read -r line; touch {0}; kill -9 $$; fi\n{ANSWERING}", mark.display());
+    let supervisor = supervise(folder.path(), &script, |s| {
+        s.queue = 1;
+        s.backoff = Duration::from_millis(200);
+    });
+    let first = tokio::spawn({
+        let supervisor = supervisor.clone();
+        async move { supervisor.render(request()).await }
+    });
+    while !mark.exists() || supervisor.trouble().is_none() {
+        tokio::task::yield_now().await;
+    }
+    assert!(matches!(supervisor.render(request()).await, Err(RenderError::Busy)), "the place is not free meanwhile");
+    assert!(first.await.unwrap().unwrap().exists());
+    supervisor.stop();
+}
+
+#[tokio::test]
+async fn a_worker_that_answers_nothing_is_killed_and_started_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let mark = folder.path().join("hung");
+    let script = format!("if [ ! -e {0} ]; then touch {0}; exec sleep 3600; fi\n{ANSWERING}", mark.display());
+    let supervisor = supervise(folder.path(), &script, |s| s.silence = Duration::from_millis(300));
+    // Nobody waits: it may be as silent as it likes.
+    while !mark.exists() {
+        tokio::task::yield_now().await;
+    }
+    tokio::time::sleep(Duration::from_millis(600)).await;
+    assert_eq!(supervisor.trouble(), None);
+    assert!(supervisor.render(request()).await.unwrap().exists(), "the next worker gets the request");
+    supervisor.stop();
+}
+
+#[tokio::test]
 async fn too_many_renders_are_refused_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let supervisor = supervise(folder.path(), "cat > /dev/null", |s| {

@@ -79,6 +79,50 @@ fn a_fit_that_goes_on_reports_its_losses_from_the_beginning() {
     assert!(points.windows(2).all(|pair| pair[0] < pair[1]), "each step once, in order: {points:?}");
 }
 
+#[test]
+fn a_fit_that_lost_its_job_leaves_the_checkpoint_to_the_one_that_has_it() {
+    let Some(gpu) = gpu("a_fit_that_lost_its_job_leaves_the_checkpoint_to_the_one_that_has_it") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut witness = Witness { stop_at: Some((Stage::Geometry, 5)), ..Witness::default() };
+    run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
+    let [kept, losses] = ["checkpoint.npz", "losses.json"].map(|file| folder.path().join("work").join(file));
+    std::fs::write(&losses, "[]").unwrap();
+    let before = std::fs::read(&kept).unwrap();
+    let mut witness = Witness { stop_at: Some((Stage::Geometry, 7)), lost: true, ..Witness::default() };
+    let stopped = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness);
+    assert!(matches!(stopped, Err(PipelineError::Stopped(StopReason::LostLease))), "{stopped:?}");
+    assert!(witness.heard.iter().any(|p| p.stage == Stage::Geometry && p.step == 7), "it had gone on");
+    assert!(std::fs::read(&kept).unwrap() == before, "the checkpoint is as it was");
+    assert_eq!(std::fs::read(&losses).unwrap(), b"[]");
+}
+
+/// The passes after the fit as well: on the tailored cloth, and on larger pictures.
+#[test]
+fn what_comes_after_the_fit_ends_the_same_wherever_it_is_stopped() {
+    let Some(gpu) = gpu("what_comes_after_the_fit_ends_the_same_wherever_it_is_stopped") else { return };
+    let (whole, stopped) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let start = Start::new(&gpu, 12);
+    start.fitted_with_a_skirt(whole.path());
+    start.fitted_with_a_skirt(stopped.path());
+    run(&gpu, &input(clip(&gpu)), whole.path(), &mut Witness::default()).unwrap();
+
+    let draft = FitConfig::draft(0);
+    let [fit, cloth] = [&draft, &draft.clone().texture_alone()].map(|config| config.steps(&config.texture.phases, 12));
+    for at in [fit + 4, fit + 5, fit + cloth + 3, fit + cloth + 9] {
+        let mut witness = Witness { stop_at: Some((Stage::Texture, at)), ..Witness::default() };
+        run(&gpu, &input(clip(&gpu)), stopped.path(), &mut witness).unwrap_err();
+        let last = witness.heard.last().map(|p| (p.stage, p.step));
+        assert_eq!(last, Some((Stage::Texture, at)));
+    }
+    assert!(stopped.path().join("work/detailed.npz").exists());
+    run(&gpu, &input(clip(&gpu)), stopped.path(), &mut Witness::default()).unwrap();
+    for file in ["model.npz", "avatar.glb", "texture.png"] {
+        let [whole, stopped] =
+            [&whole, &stopped].map(|folder| std::fs::read(folder.path().join("out").join(file)).unwrap());
+        assert!(whole == stopped, "{file} of a fit that was stopped four times is another");
+    }
+}
+
 /// Stops a fit after so many steps, and writes down which they were.
 struct Stopper {
     after: usize,
