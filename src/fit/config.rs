@@ -105,6 +105,8 @@ pub struct StageConfig {
     pub weights: Weights,
     /// Whether β and D are fitted; else they stand, and the terms that look at the mesh alone do not count.
     pub shape: bool,
+    /// What is left of all learning rates at the end of the stage: they fall steadily, by the same factor in each step.
+    pub rate_end: f32,
     pub phases: Vec<Phase>,
 }
 
@@ -178,6 +180,8 @@ impl FitConfig {
         let mut config = Self::standard(seed);
         config.geometry.phases = vec![Phase { epochs: 20, ..COARSE }];
         config.texture.phases = vec![Phase { epochs: 24, ..TEXTURED }];
+        // After so few passes shape and poses are still on their way (docs/lab/fit.md, "How far learning rates fall").
+        config.texture.rate_end = 0.3;
         config
     }
 
@@ -214,11 +218,12 @@ impl FitConfig {
                 texcoords: 2e-4,
                 field: 1e-2,
             },
-            geometry: StageConfig { weights: GEOMETRY, shape: true, phases: geometry },
+            geometry: StageConfig { weights: GEOMETRY, shape: true, rate_end: RATE_END, phases: geometry },
             // By then pictures know better where limbs are than a detector does (docs/lab/fit.md, "Keypoints in stage 2").
             texture: StageConfig {
                 weights: Weights { rgb_soft: 0.0, keypoints: 0.25 * GEOMETRY.keypoints, ..GEOMETRY },
                 shape: true,
+                rate_end: RATE_END,
                 phases: texture,
             },
             pixel_rate: 0.5,
@@ -243,7 +248,7 @@ impl FitConfig {
 
     /// Stage 2 as the paper has it (§3.6): β and D stand, and poses are refined through the hard and the soft image.
     pub fn with_shape_standing(mut self) -> Self {
-        self.texture.shape = false;
+        (self.texture.shape, self.texture.rate_end) = (false, RATE_END);
         self.texture.weights = Weights {
             keypoints: 0.0,
             normal_consistency: 0.0,
@@ -259,7 +264,7 @@ impl FitConfig {
     /// Some more passes with the texture alone, in stage 2; shape and poses stand. For a surface that has changed since.
     pub fn texture_alone(mut self) -> Self {
         let Weights { rgb, rgb_soft, silhouette, .. } = self.texture.weights;
-        self.texture.shape = false;
+        (self.texture.shape, self.texture.rate_end) = (false, RATE_END);
         self.texture.weights = Weights { rgb, rgb_soft, silhouette, ..Weights::default() };
         let last = self.texture.phases.pop();
         self.texture.phases = last.map(|last| Phase { epochs: ALONE, pose_rate: 0.0, ..last }).into_iter().collect();
@@ -315,6 +320,9 @@ impl FitConfig {
 /// Metres: the rate of D where its own steps are taken. With large steps it is that of u, whose steps move D by less, since
 /// the solver spreads them.
 pub const DIRECT_OFFSET_RATE: f32 = 1.5e-3;
+
+/// Where a stage ends whose parameters have come to rest.
+const RATE_END: f32 = 0.1;
 
 const GEOMETRY: Weights = Weights {
     rgb: 1.0,

@@ -156,7 +156,7 @@ fn run_stage(
     let mut go_on = |begun: FitState, state: &mut FitState| {
         let mut work = StageWork::new(scene, inputs, &begun)?;
         drop(begun);
-        schedule::run(scene, config, &stage.phases, &mut work, state, outside)
+        schedule::run(scene, config, stage, &mut work, state, outside)
     };
     let now = |state: &FitState| FitState { progress: None, ..state.clone() };
     let begun = match &state.progress {

@@ -68,7 +68,13 @@ pub fn refine_pose(
     for (phase, steps) in phases.iter().zip(STEPS) {
         for _ in 0..steps {
             number += 1;
-            work.step(&Step { phase, frames: &[0], trust: &[1.0], rate: decay(number, all), number })?;
+            work.step(&Step {
+                phase,
+                frames: &[0],
+                trust: &[1.0],
+                rate: decay(number, all, config.texture.rate_end),
+                number,
+            })?;
             state.step = number;
         }
     }

@@ -9,7 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
 use super::FitError;
-use super::config::{FitConfig, FrameSampling, Phase};
+use super::config::{FitConfig, FrameSampling, Phase, StageConfig};
 use super::control::{Control, Flow, Pace, StepReport};
 use super::kept::{Arrays, Keeper, Kept};
 use super::losses::Losses;
@@ -58,17 +58,17 @@ const NAME: &str = "stage";
 pub(super) fn run(
     scene: &Scene,
     config: &FitConfig,
-    phases: &[Phase],
+    stage: &StageConfig,
     work: &mut dyn Work,
     state: &mut FitState,
     outside: &mut Outside<'_>,
 ) -> Result<(), FitError> {
     let n_frames = scene.frames.len();
-    let steps = config.steps(phases, n_frames);
+    let steps = config.steps(&stage.phases, n_frames);
     let mut pace = Pace::new();
     let mut number = 0;
     let (mut progress, resumed) = (state.progress.take(), state.step);
-    for (nth, phase) in phases.iter().enumerate() {
+    for (nth, phase) in stage.phases.iter().enumerate() {
         let (passes, each) = config.passes(phase, n_frames);
         let end = number + passes * each;
         // A phase that was interrupted after its last step has a pass to end.
@@ -104,7 +104,7 @@ pub(super) fn run(
                 if number <= state.step {
                     continue;
                 }
-                let rate = phase.rate * decay(number, steps);
+                let rate = phase.rate * decay(number, steps, stage.rate_end);
                 work.step(&Step { phase, frames, trust: &trust, rate, number })?;
                 work.losses().count(frames);
                 state.step = number;
@@ -180,9 +180,9 @@ fn sampled(errors: &[Option<f32>], trust: &[f32], rng: &mut Pcg32) -> Vec<usize>
     frames
 }
 
-/// Learning rates fall to a tenth over the stage.
-pub(super) fn decay(step: u32, steps: u32) -> f32 {
-    0.1f32.powf(step as f32 / steps.max(1) as f32)
+/// What is left of learning rates that fall to `end` over the stage.
+pub(super) fn decay(step: u32, steps: u32, end: f32) -> f32 {
+    end.powf(step as f32 / steps.max(1) as f32)
 }
 
 /// Reads losses when it is time, and reports; stops when told to, or writes the checkpoint when it is time.
@@ -285,7 +285,11 @@ mod tests {
     }
 
     #[test]
-    fn rates_end_at_a_tenth() {
-        assert!((decay(50, 50) - 0.1).abs() < 1e-6 && decay(1, 50) > 0.9);
+    fn rates_fall_steadily_to_their_end() {
+        for end in [0.1, 0.3] {
+            let rates: Vec<f32> = (1..=50).map(|step| decay(step, 50, end)).collect();
+            assert!((rates[49] - end).abs() < 1e-6 && rates[0] > 0.9, "{rates:?}");
+            assert!(rates.windows(2).all(|pair| (pair[1] / pair[0] - end.powf(0.02)).abs() < 1e-5), "{rates:?}");
+        }
     }
 }
