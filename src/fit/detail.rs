@@ -71,6 +71,12 @@ impl Closer {
         Some(Self { kept, frames, side_px: (side * gain).round() as u32, gain, enlarged })
     }
 
+    /// Steps after a fit with `config`, if each frame has its close-up.
+    pub fn steps(&self, config: &FitConfig) -> u32 {
+        let detailed = config.clone().detailed();
+        detailed.steps(&detailed.texture.phases, 2 * self.kept.len())
+    }
+
     /// The fit's own pictures of the frames, where there are no larger ones.
     pub fn own(&self, capture: &Capture) -> Option<Capture> {
         (self.gain == 1.0).then(|| Capture {

@@ -148,6 +148,13 @@ fn a_clip_becomes_an_avatar_that_looks_like_the_person() {
     let progress: Vec<f32> = witness.heard.iter().map(|p| p.progress).collect();
     assert!(progress.is_sorted(), "progress never goes back: {progress:?}");
     assert!(progress[0] < 0.05 && *progress.last().unwrap() > 0.95);
+    let texture = witness.heard.iter().filter(|p| p.stage == Stage::Texture && p.step > 0);
+    let told: Vec<[u32; 2]> = texture.map(|p| [p.step, p.steps]).collect();
+    let [last, all] = *told.last().unwrap();
+    assert!(
+        last == all && told.iter().all(|t| t[1] == all),
+        "the detail's steps are known from the beginning: {told:?}"
+    );
     assert!(witness.idle > 20, "the device is lent out between iterations");
     previews_show_the_avatar_emerge(&witness.previews);
     let mut losses = witness.heard.iter().rev().filter(|p| p.stage == Stage::Texture).map(|p| &p.losses);

@@ -13,16 +13,30 @@ use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::fit::{self, Control, FitConfig, FitState, Flow, StepReport};
 use crate::gpu::Gpu;
+use crate::jobs::Preset;
 
-/// The part of a job that each stage takes, roughly, for the progress of the whole.
-const SHARES: [(Stage, f32); 6] = [
-    (Stage::Decode, 0.02),
-    (Stage::Pose, 0.06),
-    (Stage::Geometry, 0.47),
-    (Stage::Texture, 0.35),
-    (Stage::Bake, 0.05),
-    (Stage::Export, 0.05),
-];
+/// Parts of a job.
+type Shares = [(Stage, f32); 6];
+
+/// The part of a job that each stage takes, roughly, for the progress of the whole. `geometry` and `texture` are measured, on two
+/// cores; the rest is little.
+fn shares(preset: Preset) -> Shares {
+    let (geometry, texture) = match preset {
+        Preset::Draft => (0.20, 0.74),
+        Preset::Standard => (0.43, 0.53),
+        Preset::Paper => (0.32, 0.62),
+        Preset::SilhouetteOnly => (0.28, 0.68),
+    };
+    let rest = 1.0 - geometry - texture;
+    [
+        (Stage::Decode, 0.1 * rest),
+        (Stage::Pose, 0.4 * rest),
+        (Stage::Geometry, geometry),
+        (Stage::Texture, texture),
+        (Stage::Bake, 0.2 * rest),
+        (Stage::Export, 0.3 * rest),
+    ]
+}
 
 /// Seconds that each stage took.
 pub(super) type StageSecs = BTreeMap<&'static str, f64>;
@@ -40,9 +54,12 @@ pub(super) struct Monitor<'a> {
     /// The step of the stage at which this run began: a resumed one does not begin at zero.
     first_step: Option<u32>,
     losses: BTreeMap<String, f64>,
+    shares: Shares,
     /// Of the whole job.
     progress: f32,
-    /// Steps of the texture's stage before it began to go on with a tailored surface, or with larger pictures.
+    /// Steps of the texture's stage that are known of, and those before it began to go on with a tailored surface, or with
+    /// larger pictures.
+    texture_steps: u32,
     steps_before: u32,
     checkpoint: PathBuf,
     /// When the checkpoint was written that was last told of.
@@ -54,7 +71,13 @@ pub(super) struct Monitor<'a> {
 }
 
 impl<'a> Monitor<'a> {
-    pub(super) fn new(gpu: &'a Arc<Gpu>, observer: &'a mut dyn Observer, checkpoint: &Path, curves: Curves) -> Self {
+    pub(super) fn new(
+        gpu: &'a Arc<Gpu>,
+        observer: &'a mut dyn Observer,
+        preset: Preset,
+        checkpoint: &Path,
+        curves: Curves,
+    ) -> Self {
         Self {
             gpu,
             observer,
@@ -66,7 +89,9 @@ impl<'a> Monitor<'a> {
             stage_started: Instant::now(),
             first_step: None,
             losses: BTreeMap::new(),
+            shares: shares(preset),
             progress: 0.0,
+            texture_steps: 0,
             steps_before: 0,
             checkpoint: checkpoint.into(),
             saved: written(checkpoint),
@@ -111,6 +136,11 @@ impl<'a> Monitor<'a> {
         }
     }
 
+    /// The texture's stage will have so many steps more, as far as is known.
+    pub(super) fn expect_texture_steps(&mut self, more: u32) {
+        self.texture_steps += more;
+    }
+
     /// The texture's stage goes on with another checkpoint; its steps are counted on.
     pub(super) fn go_on_with(&mut self, checkpoint: &Path, steps_before: u32) {
         self.curves.save();
@@ -134,8 +164,8 @@ impl<'a> Monitor<'a> {
     }
 
     pub(super) fn tell(&mut self, stage: Stage, step: u32, steps: u32) {
-        let before: f32 = SHARES.iter().take_while(|(s, _)| *s != stage).map(|(_, share)| share).sum();
-        let share = SHARES.iter().find(|(s, _)| *s == stage).map_or(0.0, |(_, share)| *share);
+        let before: f32 = self.shares.iter().take_while(|(s, _)| *s != stage).map(|(_, share)| share).sum();
+        let share = self.shares.iter().find(|(s, _)| *s == stage).map_or(0.0, |(_, share)| *share);
         let done = step as f32 / steps.max(1) as f32;
         // More steps may come than were known of.
         let progress = (before + share * done).clamp(self.progress, 1.0);
@@ -168,7 +198,10 @@ impl Control for Monitor<'_> {
         if stage != self.stage {
             self.enter(stage);
         }
-        let (step, steps) = (self.steps_before + report.step, self.steps_before + report.steps);
+        let (step, mut steps) = (self.steps_before + report.step, self.steps_before + report.steps);
+        if stage == Stage::Texture {
+            steps = steps.max(self.texture_steps);
+        }
         self.first_step.get_or_insert(step - 1);
         if let Some(losses) = report.losses {
             self.losses = losses.iter().map(|(name, value)| ((*name).to_owned(), *value as f64)).collect();
@@ -194,6 +227,21 @@ impl Control for Monitor<'_> {
         match previews.draw(self.gpu, state, self.progress) {
             Ok(jpeg) => self.observer.preview(Preview { jpeg, at: at.clone() }),
             Err(error) => tracing::warn!(%error, "no preview"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stages_share_the_whole_job() {
+        for preset in [Preset::Draft, Preset::Standard, Preset::Paper, Preset::SilhouetteOnly] {
+            let shares = shares(preset);
+            assert!(shares.iter().all(|(_, share)| *share > 0.0), "{shares:?}");
+            assert!((shares.iter().map(|(_, share)| share).sum::<f32>() - 1.0).abs() < 1e-6, "{shares:?}");
+            assert!(shares.is_sorted_by_key(|(stage, _)| *stage), "{shares:?}");
         }
     }
 }

@@ -31,7 +31,7 @@ pub fn run(
     observer: &mut dyn Observer,
 ) -> Result<Outcome, PipelineError> {
     let checkpoint = work_dir.join("checkpoint.npz");
-    let mut monitor = Monitor::new(gpu, observer, &checkpoint, Curves::new(work_dir));
+    let mut monitor = Monitor::new(gpu, observer, input.options.preset, &checkpoint, Curves::new(work_dir));
     let mut config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
     let mut body = load_body(data_dir, &input.options.body)?;
@@ -61,22 +61,25 @@ pub fn run(
     }
     // The person's pose and shape, all grey.
     monitor.preview_from(&body, &capture, &start.camera, &config, &state);
+    let steps_of = |config: &FitConfig| config.steps(&config.texture.phases, capture.frames.len());
+    let mut texture_steps = steps_of(&config);
+    let details = closer(&capture, &config).map_or(0, |closer| closer.steps(&config));
+    monitor.expect_texture_steps(texture_steps + details);
     monitor.start(Stage::Geometry)?;
     let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
     let mut state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
-    let steps_of = |config: &FitConfig| config.steps(&config.texture.phases, capture.frames.len());
-    let mut texture_steps = steps_of(&config);
     let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
     if let Some(skirt) = skirt {
         skirt.tailor(&mut body, &mut state);
         (state.stage, state.step) = (fit::Stage::Texture, 0);
         let state_before = resumed(state, &tailored);
+        let alone = config.clone().texture_alone();
+        monitor.expect_texture_steps(steps_of(&alone));
         monitor.go_on_with(&tailored, texture_steps);
         if state_before.stage != fit::Stage::Done {
             monitor.curves.cut(Stage::Texture, texture_steps + state_before.step);
         }
         monitor.preview_from(&body, &capture, &start.camera, &config, &state_before);
-        let alone = config.clone().texture_alone();
         texture_steps += steps_of(&alone);
         let fitted = fit::run(gpu, &body, &capture, &start.camera, &alone, state_before, &tailored, &mut monitor);
         state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
@@ -100,6 +103,11 @@ pub fn run(
     export::export(gpu, &done, input, out_dir, &mut monitor)
 }
 
+/// Which frames the texture goes on with after the fit, if it does.
+fn closer(capture: &Capture, config: &FitConfig) -> Option<Closer> {
+    if config.detail { Closer::to(capture) } else { None }
+}
+
 /// What the texture goes on with after the fit that has ended in `state`, if there is anything.
 fn look_closer(
     input: &PipelineInput,
@@ -110,7 +118,7 @@ fn look_closer(
     config: &FitConfig,
     state: &FitState,
 ) -> Result<Option<Detail>, PipelineError> {
-    let Some(closer) = Closer::to(capture).filter(|_| config.detail) else { return Ok(None) };
+    let Some(closer) = closer(capture, config) else { return Ok(None) };
     let large = match closer.own(capture) {
         Some(own) => own,
         None => {
