@@ -16,6 +16,9 @@ const VIEWS_DEGREES: [f64; 2] = [15.0, 110.0];
 /// usual means a person much farther from it, metres.
 const HEIGHT_OFF_M: f64 = 0.06;
 
+/// So far from the fitted joints, over the person's height, keypoints cost new poses decibels (docs/robustness.md).
+const NOISY: f64 = 0.008;
+
 /// So near, in parts of the person's height, perspective makes pictures of other poses worse (docs/filming.md).
 const NEAR: f64 = 1.0;
 
@@ -44,6 +47,8 @@ pub struct FitFindings<'a> {
     /// `[N]` from the camera to the pelvis, in heights of the undressed body: what one camera can tell of distance
     pub distances: &'a [f64],
     pub contradicted_focal: Option<ContradictedFocal>,
+    /// Of the frames with keypoints: root mean square from them to the joints that stage 0 finds, over the person's height
+    pub keypoint_residuals: &'a [f64],
     /// The undressed body's height where it was guessed, and what it is expected to be, metres
     pub guessed_height_m: Option<f64>,
     pub usual_height_m: f64,
@@ -55,7 +60,12 @@ pub struct FitFindings<'a> {
 pub fn fit_flags(found: &FitFindings<'_>) -> Vec<Flag> {
     let of_clip =
         [no_full_turn(found), near_camera(found), focal(found), focal_contradicted(found), height_unusual(found)];
-    let flags = of_clip.into_iter().chain([sides_swapped(found), fit_misses(found), cloth_between_legs(found)]);
+    let flags = of_clip.into_iter().chain([
+        keypoints_noisy(found),
+        sides_swapped(found),
+        fit_misses(found),
+        cloth_between_legs(found),
+    ]);
     flags.into_iter().flatten().collect()
 }
 
@@ -135,6 +145,13 @@ fn cloth_between_legs(found: &FitFindings<'_>) -> Option<Flag> {
     Some(Flag::of_clip(Kind::ClothBetweenLegs, message, hem, 0.0))
 }
 
+fn keypoints_noisy(found: &FitFindings<'_>) -> Option<Flag> {
+    let residual = median(found.keypoint_residuals.to_vec())?;
+    let message =
+        format!("keypoints lie {:.1} percent of the person's height from the fitted joints", 100.0 * residual);
+    (residual > NOISY).then(|| Flag::of_clip(Kind::KeypointsNoisy, message, residual, NOISY))
+}
+
 fn sides_swapped(found: &FitFindings<'_>) -> Option<Flag> {
     let (swapped, all) = (found.swapped, found.frames.len());
     let message = format!("left and right were exchanged in {}", of(swapped, all));
@@ -192,6 +209,7 @@ mod tests {
             camera_estimated: false,
             distances: &[1.7; 40],
             contradicted_focal: None,
+            keypoint_residuals: &[0.003; 40],
             guessed_height_m: Some(1.68),
             usual_height_m: 1.65,
             hem: None,
@@ -220,6 +238,10 @@ mod tests {
         let flags = fit_flags(&FitFindings { hem: Some(0.52), ..good.clone() });
         assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("cloth_between_legs", 0.52)]);
         assert!(flags[0].message.contains("52 percent"), "{}", flags[0].message);
+        let flags = fit_flags(&FitFindings { keypoint_residuals: &[0.004, 0.011, 0.012], ..good.clone() });
+        assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("keypoints_noisy", 0.011)]);
+        assert!(flags[0].message.contains("1.1 percent"), "{}", flags[0].message);
+        assert_eq!(fit_flags(&FitFindings { keypoint_residuals: &[], ..good.clone() }), []);
         let flags = fit_flags(&FitFindings { distances: &[1.2, 0.91, 0.8], ..good.clone() });
         assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("near_camera", 0.91)]);
         assert!(flags[0].message.contains("0.9 times"), "{}", flags[0].message);

@@ -7,6 +7,7 @@ use serde::Serialize;
 pub enum Kind {
     KeypointsOffMask,
     FewKeypoints,
+    KeypointsNoisy,
     CutByBorder,
     Blurred,
     MaskFlickers,
@@ -30,7 +31,7 @@ pub enum Kind {
 }
 
 /// In the order in which reports show them.
-pub const KINDS: [Kind; 22] = [
+pub const KINDS: [Kind; 23] = [
     Kind::NoFullTurn,
     Kind::FewFrames,
     Kind::LowResolution,
@@ -42,6 +43,7 @@ pub const KINDS: [Kind; 22] = [
     Kind::HeightUnusual,
     Kind::KeypointsOffMask,
     Kind::FewKeypoints,
+    Kind::KeypointsNoisy,
     Kind::SidesSwapped,
     Kind::CutByBorder,
     Kind::MaskEdgeOff,
@@ -61,6 +63,7 @@ impl Kind {
         match self {
             Kind::KeypointsOffMask => "keypoints_off_mask",
             Kind::FewKeypoints => "few_keypoints",
+            Kind::KeypointsNoisy => "keypoints_noisy",
             Kind::CutByBorder => "cut_by_border",
             Kind::Blurred => "blurred",
             Kind::MaskFlickers => "mask_flickers",
@@ -89,6 +92,7 @@ impl Kind {
         match self {
             Kind::KeypointsOffMask => "points in the worst frame",
             Kind::FewKeypoints => "points of limbs in the worst frame",
+            Kind::KeypointsNoisy => "of the person's height, median over the frames",
             Kind::CutByBorder => "px along the border in the worst frame",
             Kind::Blurred => "sharpness over the clip's median, worst frame",
             Kind::MaskFlickers => "jump of the mask's area, worst frame",
@@ -119,6 +123,9 @@ impl Kind {
                  are little believed."
             }
             Kind::FewKeypoints => "Keep the whole body in view, evenly lit and apart from the background.",
+            Kind::KeypointsNoisy => {
+                "Use a detector that is more exact, or let it see larger pictures: poses and the places of joints come out worse."
+            }
             Kind::CutByBorder => "Step back until head, hands and feet stay inside the picture during the whole turn.",
             Kind::Blurred => "Turn more slowly and film in more light, so that single frames are not smeared.",
             Kind::MaskFlickers => {

@@ -21,6 +21,7 @@ impl<'a> Quality<'a> {
         let swapped: Vec<u32> = fitted.start.report.swapped.iter().map(|&t| model.frames[t]).collect();
         let iou: Vec<f64> = scores.iter().map(|s| s.iou).collect();
         let distances = distances_in_heights(model, &undressed);
+        let residuals = keypoint_residuals(&fitted.start.report.residual_px, &fitted.measures);
         let found = FitFindings {
             frames: &model.frames,
             iou: &iou,
@@ -30,6 +31,7 @@ impl<'a> Quality<'a> {
             camera_estimated: fitted.capture.camera_estimated,
             distances: &distances,
             contradicted_focal: fitted.focal.filter(FocalCheck::contradicts).map(contradicted),
+            keypoint_residuals: &residuals,
             guessed_height_m: fitted.start.report.guessed_height_m,
             usual_height_m: ADULT_STATURE,
             hem: fitted.skirt.map(|skirt| f64::from(skirt.hem)),
@@ -45,6 +47,12 @@ impl<'a> Quality<'a> {
 
 fn contradicted(check: FocalCheck) -> ContradictedFocal {
     ContradictedFocal { given_px: check.given_px, ratio: check.ratio, limit: FOCAL_OFF }
+}
+
+/// `residual_px [N]` over the masks' heights, of the frames that have both.
+fn keypoint_residuals(residual_px: &[f32], measures: &[FrameMeasures]) -> Vec<f64> {
+    let of_frame = |(px, frame): (&f32, &FrameMeasures)| f64::from(*px) / frame.height_px as f64;
+    residual_px.iter().zip(measures).map(of_frame).filter(|residual| residual.is_finite()).collect()
 }
 
 /// `[N]` from the camera to the pelvis, over the height of the `undressed` body, `[V, 3]`.
