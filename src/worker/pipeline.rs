@@ -113,7 +113,7 @@ pub enum StopReason {
 pub trait Observer {
     fn progress(&mut self, progress: &Progress);
 
-    /// The checkpoint on the disk now holds so much of the whole job, 0 to 1.
+    /// The checkpoint on the disk now holds so much of the whole job, 0 to 1, but for a step.
     fn saved(&mut self, _progress: f32) {}
 
     /// Whether pictures of the avatar in the making are wanted.

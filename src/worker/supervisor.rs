@@ -159,7 +159,11 @@ impl Supervisor {
             _ = &mut write => child.wait().await,
             () = self.silence() => {
                 tracing::error!("the worker answers nothing and is killed");
-                child.start_kill().and(child.wait().await)
+                self.hang_up();
+                // Not even a kill ends a process that waits in a driver.
+                let killed = child.start_kill();
+                let ended = tokio::time::timeout(self.settings.grace, child.wait()).await;
+                killed.and(ended.unwrap_or_else(|_| Err(std::io::ErrorKind::TimedOut.into())))
             }
             _ = stop.changed() => {
                 // The end of its input tells the worker to write a checkpoint and give its job back.
@@ -210,7 +214,7 @@ impl Supervisor {
         let waiting = line.waiting.remove(&answer.id);
         drop(line);
         let Some(Waiting { to, answer: waits, slot }) = waiting else { return };
-        // Whoever is answered finds the place free.
+        // Whoever is answered finds the place free: the request's own hold ends with it.
         drop(slot);
         if let Err(Ok(())) = waits.send(answer.result) {
             // The client went away meanwhile. What a crash leaves, the next start removes.

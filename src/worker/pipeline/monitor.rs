@@ -103,6 +103,11 @@ impl<'a> Monitor<'a> {
     /// Ends the current stage and starts the next; an error where somebody wants to stop.
     pub(super) fn start(&mut self, stage: Stage) -> Result<(), PipelineError> {
         self.enter(stage);
+        self.check()
+    }
+
+    /// An error where somebody wants to stop.
+    pub(super) fn check(&mut self) -> Result<(), PipelineError> {
         match self.go_on() {
             true => Ok(()),
             false => Err(PipelineError::Stopped(self.stopped.unwrap_or(StopReason::Shutdown))),
@@ -149,15 +154,19 @@ impl<'a> Monitor<'a> {
     }
 
     pub(super) fn go_on(&mut self) -> bool {
+        self.observer.idle(self.gpu);
+        self.stopped = self.stopped.or_else(|| self.observer.stop());
+        // Then what lies there may be another's.
+        if self.stopped == Some(StopReason::LostLease) {
+            return false;
+        }
         let saved = written(&self.checkpoint);
         if saved != self.saved {
             self.saved = saved;
             self.curves.save();
             self.observer.saved(self.progress);
         }
-        self.observer.idle(self.gpu);
-        self.stopped = self.stopped.or_else(|| self.observer.stop());
-        if self.stopped.is_some_and(|reason| reason != StopReason::LostLease) {
+        if self.stopped.is_some() {
             self.curves.save();
         }
         self.stopped.is_none()
@@ -172,8 +181,9 @@ impl<'a> Monitor<'a> {
         self.progress = progress;
         let first = self.first_step.unwrap_or(0);
         let elapsed = self.stage_started.elapsed().as_secs_f64();
-        // The rest of this stage at its pace so far, and the later stages by their shares.
-        let eta_secs = (step > first && elapsed > 1.0).then(|| {
+        // The rest of this stage at its pace so far, and the later stages by their shares. What comes before the geometry is
+        // the host's: on a graphics processor it says nothing of the rest.
+        let eta_secs = (stage >= Stage::Geometry && step > first && elapsed > 1.0).then(|| {
             let whole = elapsed / ((step - first) as f64 / steps.max(1) as f64);
             whole * (1.0 - done as f64) + whole / share as f64 * (1.0 - before - share).max(0.0) as f64
         });

@@ -33,6 +33,7 @@ pub(super) fn score_frames(
         let psnr = psnr_on_white(&picture, frame, &capture.camera);
         scores.push(FrameScore { frame: frame.index, iou: mask_iou(&ours, &theirs), psnr });
         monitor.tell(Stage::Export, k as u32 + 1, n as u32);
+        monitor.check()?;
     }
     Ok(scores)
 }

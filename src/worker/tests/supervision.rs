@@ -84,31 +84,35 @@ async fn a_request_keeps_its_place_over_its_workers_death() {
         s.queue = 1;
         s.backoff = Duration::from_millis(200);
     });
-    let first = tokio::spawn({
-        let supervisor = supervisor.clone();
-        async move { supervisor.render(request()).await }
-    });
+    while supervisor.trouble().is_some() {
+        tokio::task::yield_now().await;
+    }
+    let mut first = supervisor.render(request());
+    assert!(is_waiting(&mut first).await);
     while !mark.exists() || supervisor.trouble().is_none() {
         tokio::task::yield_now().await;
     }
-    assert!(matches!(supervisor.render(request()).await, Err(RenderError::Busy)), "the place is not free meanwhile");
-    assert!(first.await.unwrap().unwrap().exists());
+    // The first one has not been polled since its worker died.
+    assert!(matches!(supervisor.render(request()).await, Err(RenderError::Busy)), "its place is not free meanwhile");
+    assert!(first.await.unwrap().exists());
     supervisor.stop();
 }
 
 #[tokio::test]
 async fn a_worker_that_answers_nothing_is_killed_and_started_anew() {
     let folder = tempfile::tempdir().unwrap();
-    let mark = folder.path().join("hung");
-    let script = format!("if [ ! -e {0} ]; then touch {0}; exec sleep 3600; fi\n{ANSWERING}", mark.display());
-    let supervisor = supervise(folder.path(), &script, |s| s.silence = Duration::from_millis(300));
-    // Nobody waits: it may be as silent as it likes.
-    while !mark.exists() {
+    let starts = folder.path().join("starts");
+    let script =
+        format!("echo >> {0}; if [ $(wc -l < {0}) = 1 ]; then exec sleep 3600; fi\n{ANSWERING}", starts.display());
+    let started = || std::fs::read(&starts).map_or(0, |lines| lines.len());
+    let supervisor = supervise(folder.path(), &script, |s| s.silence = Duration::from_secs(2));
+    while started() == 0 {
         tokio::task::yield_now().await;
     }
-    tokio::time::sleep(Duration::from_millis(600)).await;
-    assert_eq!(supervisor.trouble(), None);
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    assert_eq!(started(), 1, "nobody waits: it may be as silent as it likes");
     assert!(supervisor.render(request()).await.unwrap().exists(), "the next worker gets the request");
+    assert_eq!(started(), 2);
     supervisor.stop();
 }
 

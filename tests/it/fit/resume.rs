@@ -86,14 +86,14 @@ fn a_fit_that_lost_its_job_leaves_the_checkpoint_to_the_one_that_has_it() {
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 5)), ..Witness::default() };
     run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
     let [kept, losses] = ["checkpoint.npz", "losses.json"].map(|file| folder.path().join("work").join(file));
-    std::fs::write(&losses, "[]").unwrap();
+    std::fs::write(&losses, "[ ]").unwrap();
     let before = std::fs::read(&kept).unwrap();
     let mut witness = Witness { stop_at: Some((Stage::Geometry, 7)), lost: true, ..Witness::default() };
     let stopped = run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness);
     assert!(matches!(stopped, Err(PipelineError::Stopped(StopReason::LostLease))), "{stopped:?}");
     assert!(witness.heard.iter().any(|p| p.stage == Stage::Geometry && p.step == 7), "it had gone on");
     assert!(std::fs::read(&kept).unwrap() == before, "the checkpoint is as it was");
-    assert_eq!(std::fs::read(&losses).unwrap(), b"[]");
+    assert_eq!(std::fs::read(&losses).unwrap(), b"[ ]");
 }
 
 /// The passes after the fit as well: on the tailored cloth, and on larger pictures.
