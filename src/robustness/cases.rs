@@ -1,4 +1,4 @@
-//! The perturbations, one at a time.
+//! The perturbations, one at a time, and some of them at once.
 
 use rand_pcg::Pcg64;
 
@@ -15,7 +15,7 @@ pub struct Case {
 }
 
 /// The clean clip first: all others are compared with it.
-pub const CASES: [Case; 22] = [
+pub const CASES: [Case; 23] = [
     Case { name: "clean", what: "the clip as it is", spoil: |_, _| {} },
     Case { name: "focal-unknown", what: "no camera given", spoil: |f, _| f.camera = None },
     Case { name: "focal-long", what: "focal length 30 % too long", spoil: |f, _| scale_focal(f, 1.3) },
@@ -28,7 +28,11 @@ pub const CASES: [Case; 22] = [
     Case { name: "masks-dilated", what: "masks: 3 px larger all round", spoil: masks::dilated },
     Case { name: "masks-shadow", what: "masks: a shadow at the feet in 2 of 5 frames", spoil: masks::shadow },
     Case { name: "masks-blob", what: "masks: a second part beside the person", spoil: masks::second_blob },
-    Case { name: "keypoints-noise", what: "keypoints: noise of σ = 6 px", spoil: keypoints::noisy },
+    Case {
+        name: "keypoints-noise",
+        what: "keypoints: noise of σ = 6 px",
+        spoil: |f, rng| keypoints::noisy(f, 6.0, rng),
+    },
     Case { name: "keypoints-dropped", what: "keypoints: a fifth missing", spoil: keypoints::dropped },
     Case {
         name: "keypoints-swapped",
@@ -46,12 +50,30 @@ pub const CASES: [Case; 22] = [
     Case { name: "head-cut", what: "a tenth of the person cut off above", spoil: images::head_cut },
     Case { name: "gains", what: "light changes by up to a fifth from frame to frame", spoil: images::gains },
     Case { name: "shaken", what: "a camera held in the hand, which sways and trembles", spoil: hand::shaken },
+    Case {
+        name: "several",
+        what: "several at once: no camera given, held in the hand, light that changes, 1,500 kbit/s, masks 3 px larger with \
+               shadows at the feet, keypoints of σ = 2 px and a fifth missing",
+        spoil: several,
+    },
 ];
 
 fn scale_focal(footage: &mut Footage, factor: f64) {
     if let Some(camera) = &mut footage.camera {
         (camera.fx, camera.fy) = (camera.fx * factor, camera.fy * factor);
     }
+}
+
+/// What a phone, a matting network and a detector do at once.
+fn several(footage: &mut Footage, rng: &mut Pcg64) {
+    hand::shaken(footage, rng);
+    images::gains(footage, rng);
+    masks::shadow(footage, rng);
+    masks::dilated(footage, rng);
+    keypoints::noisy(footage, 2.0, rng);
+    keypoints::dropped(footage, rng);
+    footage.camera = None;
+    footage.bit_rate = Some(1500);
 }
 
 #[cfg(test)]

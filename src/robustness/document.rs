@@ -45,8 +45,8 @@ impl Comparison {
             Comparison::Spoiled => {
                 let clip = settings.clip.file_name().unwrap_or_default().to_string_lossy();
                 format!(
-                    "The clip `{clip}` was spoiled in one way at a time, fitted with `{preset}`, and compared with the \
-                     unspoiled truth."
+                    "The clip `{clip}` was spoiled in one way at a time, or in several where a row says so, fitted with \
+                     `{preset}`, and compared with the unspoiled truth."
                 )
             }
             Comparison::Filmed => format!(

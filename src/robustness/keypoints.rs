@@ -16,11 +16,11 @@ fn normal(rng: &mut Pcg64) -> f64 {
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
-/// Noise of σ = 6 pixels on all points.
-pub fn noisy(footage: &mut Footage, rng: &mut Pcg64) {
+/// Noise of σ pixels on all points.
+pub fn noisy(footage: &mut Footage, sigma: f64, rng: &mut Pcg64) {
     for point in footage.keypoints.frames.iter_mut().flatten().filter(|p| p[2] > 0.0) {
-        point[0] += 6.0 * normal(rng);
-        point[1] += 6.0 * normal(rng);
+        point[0] += sigma * normal(rng);
+        point[1] += sigma * normal(rng);
     }
 }
 
@@ -70,7 +70,7 @@ mod tests {
     #[test]
     fn points_are_moved_lost_and_exchanged() {
         let clean = footage();
-        let moved = after(noisy).keypoints.frames;
+        let moved = after(|f, rng| noisy(f, 6.0, rng)).keypoints.frames;
         let pairs = || moved.iter().flatten().zip(clean.keypoints.frames.iter().flatten());
         let mean = pairs().map(|(a, b)| (a[0] - b[0]).powi(2)).sum::<f64>() / pairs().count() as f64;
         assert!((4.5..7.5).contains(&mean.sqrt()), "σ is {}", mean.sqrt());

@@ -1,4 +1,4 @@
-//! What a fit makes of spoiled clips: a clip with truth is perturbed in one way at a time, fitted as a process of its own,
+//! What a fit makes of spoiled clips: a clip with truth is perturbed, mostly in one way at a time, fitted as a process of its own,
 //! evaluated against the unspoiled truth, and compared with the clean clip (docs/robustness.md); and clips are made as people
 //! film them (docs/filming.md).
 
