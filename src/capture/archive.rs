@@ -146,7 +146,8 @@ fn check_size(part: Part, name: &str, entry: &ZipFile<'_, BufReader<File>>, tota
 }
 
 fn is_hidden(name: &str) -> bool {
-    name.split('/').any(|piece| piece.starts_with('.') || piece == "__MACOSX")
+    // Names of `tar`'s zips begin with `./`.
+    name.split('/').any(|piece| piece.starts_with('.') && piece != "." || piece == "__MACOSX")
 }
 
 /// A name as it may stand in a message.
@@ -204,6 +205,7 @@ mod tests {
 
     #[test]
     fn hidden_files_are_known() {
-        assert!(is_hidden("__MACOSX/a/._0.png") && is_hidden(".DS_Store") && !is_hidden("a/0.png"));
+        assert!(is_hidden("__MACOSX/a/._0.png") && is_hidden(".DS_Store"));
+        assert!(!is_hidden("a/0.png") && !is_hidden("./0.png") && is_hidden("./._0.png"));
     }
 }

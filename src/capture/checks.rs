@@ -14,8 +14,37 @@ pub(super) struct MaskCheck {
     first_empty: Option<(usize, usize)>,
     empty: usize,
     brightest: u8,
-    covered: usize,
+    /// Frames whose border is foreground nearly all round, and the first of them.
+    surrounded: usize,
+    first_surrounded: Option<usize>,
+    /// Frames in which much is neither foreground nor black.
+    grey: usize,
+    first_grey: Option<usize>,
     at_border: usize,
+}
+
+/// The part of a picture's border that no person covers.
+const MOST_OF_THE_BORDER: f64 = 0.75;
+/// From here on a value is no longer black: what compression leaves lies below.
+const GREY: u8 = 32;
+/// Pixels between black and foreground, for each one of the foreground: soft edges of somebody small come to a third.
+const MOST_GREY: f64 = 0.75;
+
+const SURROUNDED: &str = "the person's pixels at 128 or more and all others below, best 255 and 0: masks that are inverted, or \
+                          pictures of the person on a light background, are the other way round";
+const PICTURES: &str = "the person's pixels at 128 or more and all others below, best 255 and 0: a person cut out on black is no \
+                        mask, but one with transparency (PNG) is";
+
+/// The part of the outermost pixels that is foreground.
+fn border_covered(mask: &Picture) -> f64 {
+    let (width, height) = (mask.width as usize, mask.height as usize);
+    let (Some(first), Some(last)) = (mask.data.get(..width), mask.data.get(width * (height - 1)..)) else { return 0.0 };
+    let sides = mask.data.chunks_exact(width).skip(1).take(height.saturating_sub(2)).flat_map(|r| [r[0], r[width - 1]]);
+    let (mut set, mut count) = (0, 0);
+    for value in first.iter().chain(last).copied().chain(sides) {
+        (set, count) = (set + usize::from(is_foreground(value)), count + 1);
+    }
+    set as f64 / count as f64
 }
 
 impl MaskCheck {
@@ -39,7 +68,15 @@ impl MaskCheck {
             self.empty += 1;
             return None;
         }
-        self.covered += usize::from(pixels * 5 > width * height * 4);
+        if border_covered(mask) > MOST_OF_THE_BORDER {
+            self.surrounded += 1;
+            self.first_surrounded.get_or_insert(frame);
+        }
+        let grey = mask.data.iter().filter(|&&v| v >= GREY && !is_foreground(v)).count();
+        if grey as f64 > MOST_GREY * pixels as f64 {
+            self.grey += 1;
+            self.first_grey.get_or_insert(frame);
+        }
         self.at_border += usize::from(x0 == 0 || y0 == 0 || x1 == width || y1 == height);
         Some(Rect { x0: x0 as u32, y0: y0 as u32, x1: x1 as u32, y1: y1 as u32 })
     }
@@ -59,8 +96,16 @@ impl MaskCheck {
             }
             warnings.push(format!("masks: {count} are empty, the first of them {frame}: those frames are left out"));
         }
-        if 2 * self.covered > self.frames {
-            warnings.push(format!("masks: {} of them cover most of the image: inverted?", self.covered));
+        for (count, first, what, expected) in [
+            (self.surrounded, self.first_surrounded, "have the background as foreground", SURROUNDED),
+            (self.grey, self.first_grey, "look like pictures: much of them is neither black nor foreground", PICTURES),
+        ] {
+            let Some(first) = first else { continue };
+            let message = format!("{count} of {} {what}", self.frames);
+            if 2 * count > self.frames {
+                return Err(BadInput::new(Part::Masks, message, expected).at(first));
+            }
+            warnings.push(format!("masks: {message}, the first of them {first}"));
         }
         if self.at_border > 0 {
             let count = format!("{} of {}", self.at_border, self.frames);
@@ -78,30 +123,41 @@ pub(super) struct KeypointCheck {
     beside: usize,
     off_mask: usize,
     outside: usize,
+    /// Frames of which the only person is somebody else.
+    strangers: Vec<usize>,
     /// Frames without anybody on the mask.
     nobody: Vec<usize>,
 }
 
+/// The part of a lone person's confidence that lies on the mask at least; else it is somebody else.
+const ON_MASK: f64 = 1.0 / 3.0;
+
 impl KeypointCheck {
     /// The points of the person on the mask: of several, the one with the most confidence there. Points far outside
-    /// the image become unseen, and unseen points zero.
+    /// the image become unseen, and all of somebody who stands beside the mask; unseen points become zero.
     pub fn choose(&mut self, frame: usize, keypoints: &Keypoints, mask: &Picture) -> Vec<Point> {
         let mut best: Option<(f64, &Vec<Point>)> = None;
         let people = &keypoints.frames[frame];
         for person in people {
             let on_mask = person.iter().filter(|p| p[2] > 0.0 && is_near_foreground(mask, p));
             let score: f64 = on_mask.map(|p| p[2]).sum();
-            // With one person, the mask has nothing to decide.
+            // A lone one is looked at below.
             if (score > 0.0 || people.len() == 1) && best.is_none_or(|(most, _)| score > most) {
                 best = Some((score, person));
             }
         }
         self.beside += usize::from(best.is_none() && people.len() > 1);
-        let mut points = best.map_or_else(|| vec![[0.0; 3]; keypoints.format.points], |(_, person)| person.clone());
+        let nobody = || vec![[0.0; 3]; keypoints.format.points];
+        let mut points = best.map_or_else(nobody, |(_, person)| person.clone());
+        let confidence: f64 = points.iter().map(|point| point[2]).sum();
         for point in &mut points {
             self.check(point, mask);
         }
-        if points.iter().all(|point| point[2] == 0.0) {
+        // In a detector's best person of each frame, a bystander comes in place of the one who is filmed.
+        if best.is_some_and(|(on_mask, _)| confidence > 0.0 && on_mask < ON_MASK * confidence) {
+            self.strangers.push(frame);
+            points = nobody();
+        } else if points.iter().all(|point| point[2] == 0.0) {
             self.nobody.push(frame);
         }
         points
@@ -127,7 +183,7 @@ impl KeypointCheck {
 
     pub fn finish(&self, warnings: &mut Vec<String>) -> Result<(), BadInput> {
         let expected = "pixels of the video's images, x from the left and y from the top, on the person of the masks";
-        let Self { seen, beside, off_mask, outside, nobody } = self;
+        let Self { seen, beside, off_mask, outside, strangers, nobody } = self;
         if *seen == 0 && *beside > 0 {
             let message = "none of the people in any frame lies on the masks";
             return Err(BadInput::new(Part::Keypoints, message, expected));
@@ -149,6 +205,12 @@ impl KeypointCheck {
         }
         if 5 * off_mask > *seen {
             warnings.push(format!("keypoints: {off_mask} of {seen} points lie off the masks"));
+        }
+        if let Some(first) = strangers.first() {
+            let count = strangers.len();
+            warnings.push(format!(
+                "keypoints: in {count} frames, the first of them {first}, they are of somebody beside the mask: taken as not seen"
+            ));
         }
         if let Some(first) = nobody.first() {
             let count = nobody.len();
@@ -250,7 +312,7 @@ mod tests {
     /// 100×80, foreground where 40 ≤ x < 60 and 10 ≤ y < 70.
     fn mask() -> Picture {
         let inside = |i: usize| (40..60).contains(&(i % 100)) && (10..70).contains(&(i / 100));
-        let data = (0..100 * 80).map(|i| if inside(i) { 200 } else { 100 }).collect();
+        let data = (0..100 * 80).map(|i| if inside(i) { 200 } else { 20 }).collect();
         Picture { width: 100, height: 80, data }
     }
 
@@ -271,6 +333,56 @@ mod tests {
         assert_eq!(check.look(2, &speck), None);
         let error = check.finish(&mut Vec::new()).unwrap_err();
         assert_eq!(error.frame, Some(1));
+    }
+
+    #[test]
+    fn masks_that_are_the_other_way_round_or_pictures_are_refused() {
+        let looked = |change: &dyn Fn(usize, u8) -> u8, spoiled: usize| {
+            let mut check = MaskCheck::default();
+            for frame in 0..5 {
+                let mut mask = mask();
+                if frame >= 5 - spoiled {
+                    mask.data.iter_mut().enumerate().for_each(|(i, v)| *v = change(i, *v));
+                }
+                check.look(frame, &mask);
+            }
+            let mut warnings = Vec::new();
+            check.finish(&mut warnings).map(|()| warnings)
+        };
+        let inverted = |_, v: u8| 255 - v;
+        // Half of the person is dark.
+        let cut_out = |i: usize, v: u8| if v < 128 { 0 } else { 90 + 60 * (i / 800 % 2) as u8 };
+        for (change, told) in [
+            (&inverted as &dyn Fn(usize, u8) -> u8, "have the background as foreground"),
+            (&cut_out, "look like pictures: much of them is neither black nor foreground"),
+        ] {
+            assert_eq!(looked(change, 2).unwrap()[0], format!("masks: 2 of 5 {told}, the first of them 3"));
+            let error = looked(change, 3).unwrap_err();
+            assert_eq!((error.frame, error.message), (Some(2), format!("3 of 5 {told}")));
+        }
+        // A close-up, which three sides of the picture cut.
+        let close = |i: usize, _| if (5..95).contains(&(i % 100)) && i / 100 > 20 { 255 } else { 0 };
+        assert_eq!(looked(&close, 5).unwrap(), ["masks: the person touches the image's border in 5 of 5 frames"]);
+        let edge = |i: usize| (37..63).contains(&(i % 100)) && (10..70).contains(&(i / 100));
+        let soft = |i: usize, v: u8| if edge(i) { v.max(100) } else { v };
+        assert_eq!(looked(&soft, 5).unwrap().len(), 0);
+    }
+
+    #[test]
+    fn somebody_beside_the_mask_is_not_seen() {
+        let mut check = KeypointCheck::default();
+        let mut person = vec![[50.0, 40.0, 0.9]; 17];
+        assert_eq!(check.choose(0, &people(vec![person.clone()]), &mask()), person);
+        // Arms that a mask lacks are no reason.
+        person[7..13].fill([10.0, 40.0, 0.9]);
+        assert_eq!(check.choose(0, &people(vec![person.clone()]), &mask()), person);
+        person[..13].fill([10.0, 40.0, 0.9]);
+        assert_eq!(check.choose(0, &people(vec![person]), &mask()), vec![[0.0; 3]; 17]);
+        let mut warnings = Vec::new();
+        check.finish(&mut warnings).unwrap();
+        let told =
+            "keypoints: in 1 frames, the first of them 0, they are of somebody beside the mask: taken as not seen";
+        assert_eq!(warnings, ["keypoints: 19 of 51 points lie off the masks", told]);
     }
 
     #[test]

@@ -34,6 +34,12 @@ pub struct CaptureOptions {
     pub max_side_px: u32,
 }
 
+/// Told the part of a clip that has been read; whether to go on.
+pub type GoOn<'a> = &'a mut dyn FnMut(f32) -> bool;
+
+/// The masks' part of a look at a clip of which not all frames are kept.
+const MASKS_SHARE: f32 = 0.2;
+
 /// What a clip holds, found without keeping any picture.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Inspection {
@@ -51,8 +57,11 @@ pub struct Inspection {
 
 /// Checks a clip whole, before a job is accepted: safe on hostile files and cheaper than [`Capture::load`].
 pub fn inspect(inputs: &CaptureInputs) -> Result<Inspection, CaptureError> {
-    let mut clip = Clip::open(inputs, true, Instant::now() + INSPECT_TIME)?;
-    clip.walk(|_| false, |_, _| Ok(()))?;
+    let deadline = Instant::now() + INSPECT_TIME;
+    let parts = SmallParts::read(inputs)?;
+    let mut clip =
+        parts.open(Source::open(Part::Video, &inputs.video, Pixels::Mask, true, deadline)?, inputs, deadline)?;
+    clip.walk(|_| false, |_, _| Ok(()), &mut |_| true)?;
     let (width, height) = clip.size;
     Ok(Inspection {
         frames: clip.video.count as u32,
@@ -68,21 +77,31 @@ pub fn inspect(inputs: &CaptureInputs) -> Result<Inspection, CaptureError> {
 
 impl Capture {
     /// Decodes, checks, undistorts, scales, subsamples and crops a clip; keypoints of frames that are left out smooth those of
-    /// the others. Only the crops of the frames kept are ever in memory together.
-    pub fn load(inputs: &CaptureInputs, options: &CaptureOptions) -> Result<Self, CaptureError> {
+    /// the others. Only the crops of the frames kept are ever in memory together. `go_on` is asked at each frame, and told the
+    /// part of the clip that has been read; where it says no, that is [`CaptureError::Stopped`].
+    pub fn load(inputs: &CaptureInputs, options: &CaptureOptions, go_on: GoOn<'_>) -> Result<Self, CaptureError> {
         let deadline = Instant::now() + LOAD_TIME;
-        let clip = Clip::open(inputs, false, deadline)?;
-        let (count, most) = (clip.keypoints.frames.len(), options.max_frames as usize);
-        let shown: Vec<usize> =
-            if count > most { with_somebody(&inputs.masks, count, deadline)? } else { (0..count).collect() };
+        let parts = SmallParts::read(inputs)?;
+        let (count, most) = (parts.keypoints.frames.len(), options.max_frames as usize);
+        let shown: Vec<usize> = if count > most {
+            with_somebody(&inputs.masks, count, deadline, &mut |read| go_on(MASKS_SHARE * read))?
+        } else {
+            (0..count).collect()
+        };
         let kept: Vec<usize> = subsample(shown.len(), most).into_iter().map(|i| shown[i]).collect();
-        Self::of(clip, &kept, options.max_side_px)
+        let go_on = &mut |read| go_on(MASKS_SHARE + (1.0 - MASKS_SHARE) * read);
+        Self::of(parts, inputs, &kept, options.max_side_px, deadline, go_on)
     }
 
     /// As [`Capture::load`], but of the frames with these numbers in the video, which rise.
-    pub fn load_frames(inputs: &CaptureInputs, frames: &[u32], max_side_px: u32) -> Result<Self, CaptureError> {
+    pub fn load_frames(
+        inputs: &CaptureInputs,
+        frames: &[u32],
+        max_side_px: u32,
+        go_on: GoOn<'_>,
+    ) -> Result<Self, CaptureError> {
         let kept: Vec<usize> = frames.iter().map(|&frame| frame as usize).collect();
-        Self::of(Clip::open(inputs, false, Instant::now() + LOAD_TIME)?, &kept, max_side_px)
+        Self::of(SmallParts::read(inputs)?, inputs, &kept, max_side_px, Instant::now() + LOAD_TIME, go_on)
     }
 
     /// Makes the focal length the guess that it is where no camera came with a clip; pixels that are not square stay so.
@@ -92,7 +111,15 @@ impl Capture {
         self.camera_estimated = true;
     }
 
-    fn of(mut clip: Clip, kept: &[usize], max_side_px: u32) -> Result<Self, CaptureError> {
+    fn of(
+        parts: SmallParts,
+        inputs: &CaptureInputs,
+        kept: &[usize],
+        max_side_px: u32,
+        deadline: Instant,
+        go_on: GoOn<'_>,
+    ) -> Result<Self, CaptureError> {
+        let mut clip = parts.open(Source::open_kept(&inputs.video, kept, deadline)?, inputs, deadline)?;
         let mut rectify = None;
         let mut frames = Vec::with_capacity(kept.len());
         let (mut vanished, mut room) = (Vec::new(), Room::default());
@@ -115,6 +142,7 @@ impl Capture {
                 }
                 Ok(())
             },
+            go_on,
         )?;
         let Some(rectify) = rectify else {
             return Err(BadInput::new(Part::Video, "0 frames could be read", "at least one frame").into());
@@ -176,11 +204,14 @@ impl Room {
 
 /// The numbers of the frames whose masks are not empty, of the first `count`; a fit that cannot have all frames takes its own
 /// from these. Sizes and counts are the walk's to check.
-fn with_somebody(masks: &Path, count: usize, deadline: Instant) -> Result<Vec<usize>, CaptureError> {
+fn with_somebody(masks: &Path, count: usize, deadline: Instant, go_on: GoOn<'_>) -> Result<Vec<usize>, CaptureError> {
     let mut masks = Source::open(Part::Masks, masks, Pixels::Mask, false, deadline)?;
     let (mut check, mut shown) = (MaskCheck::default(), Vec::new());
     for index in 0..count {
         let Some(mask) = masks.next(true)? else { break };
+        if !go_on(index as f32 / count as f32) {
+            return Err(CaptureError::Stopped);
+        }
         if check.look(index, &mask).is_some() {
             shown.push(index);
         }
@@ -204,6 +235,40 @@ struct Still<'a> {
     bounds: Option<Rect>,
 }
 
+/// The parts of an upload that are read whole.
+struct SmallParts {
+    keypoints: Keypoints,
+    camera: Option<Camera>,
+    poses: Option<KnownPoses>,
+    warnings: Vec<String>,
+}
+
+impl SmallParts {
+    fn read(inputs: &CaptureInputs) -> Result<Self, CaptureError> {
+        let camera = inputs.camera.as_deref().map(calibration::read).transpose()?;
+        let mut keypoints = keypoints::read(&inputs.keypoints)?;
+        check_not_normalised(&keypoints)?;
+        let poses = inputs.poses.as_deref().map(poses::read).transpose()?;
+        let (poses, odd) = poses.map_or((None, Vec::new()), |(poses, odd)| (Some(poses), odd));
+        let mut warnings = std::mem::take(&mut keypoints.warnings);
+        warnings.extend(odd);
+        Ok(Self { keypoints, camera, poses, warnings })
+    }
+
+    /// Goes on with the pictures.
+    fn open(self, mut video: Source, inputs: &CaptureInputs, deadline: Instant) -> Result<Clip, CaptureError> {
+        let Self { keypoints, camera, poses, warnings: small } = self;
+        let mut masks = Source::open(Part::Masks, &inputs.masks, Pixels::Mask, false, deadline)?;
+        let mut warnings = std::mem::take(&mut video.warnings);
+        warnings.append(&mut masks.warnings);
+        if video.fps.is_none() {
+            warnings.push("video: images tell no frame rate: 30 a second assumed".to_owned());
+        }
+        warnings.extend(small);
+        Ok(Clip { video, masks, keypoints, camera, poses, size: (0, 0), points: Vec::new(), warnings })
+    }
+}
+
 /// The parts of an upload, opened.
 struct Clip {
     video: Source,
@@ -218,26 +283,6 @@ struct Clip {
 }
 
 impl Clip {
-    /// Reads the small parts and starts the decoders. With `fast`, the video's pixels are not good for more than checks.
-    fn open(inputs: &CaptureInputs, fast: bool, deadline: Instant) -> Result<Self, CaptureError> {
-        let camera = inputs.camera.as_deref().map(calibration::read).transpose()?;
-        let mut keypoints = keypoints::read(&inputs.keypoints)?;
-        check_not_normalised(&keypoints)?;
-        let poses = inputs.poses.as_deref().map(poses::read).transpose()?;
-        let pixels = if fast { Pixels::Mask } else { Pixels::Rgb };
-        let mut video = Source::open(Part::Video, &inputs.video, pixels, fast, deadline)?;
-        let mut masks = Source::open(Part::Masks, &inputs.masks, Pixels::Mask, false, deadline)?;
-        let mut warnings = std::mem::take(&mut video.warnings);
-        warnings.append(&mut masks.warnings);
-        warnings.append(&mut keypoints.warnings);
-        if video.fps.is_none() {
-            warnings.push("video: images tell no frame rate: 30 a second assumed".to_owned());
-        }
-        let (poses, odd) = poses.map_or((None, Vec::new()), |(poses, odd)| (Some(poses), odd));
-        warnings.extend(odd);
-        Ok(Self { video, masks, keypoints, camera, poses, size: (0, 0), points: Vec::new(), warnings })
-    }
-
     fn fps(&self) -> f64 {
         self.video.fps.unwrap_or(30.0)
     }
@@ -247,12 +292,17 @@ impl Clip {
         &mut self,
         keep: impl Fn(usize) -> bool,
         mut visit: impl FnMut((u32, u32), Still<'_>) -> Result<(), BadInput>,
+        go_on: GoOn<'_>,
     ) -> Result<(), CaptureError> {
         let (mut mask_check, mut keypoint_check) = (MaskCheck::default(), KeypointCheck::default());
         let mut pose_check = PoseCheck::default();
         loop {
             let index = self.video.count;
-            let expected = index < self.keypoints.frames.len();
+            let count = self.keypoints.frames.len();
+            if !go_on((index as f32 / count.max(1) as f32).min(1.0)) {
+                return Err(CaptureError::Stopped);
+            }
+            let expected = index < count;
             let image = self.video.next(expected && keep(index))?;
             let mask = self.masks.next(true)?;
             if let Some(image) = &image {
@@ -333,7 +383,15 @@ impl Clip {
             None => Ok(()),
             Some((part, count)) => {
                 let message = format!("there are {count} frames of {part}, the video has {frames}");
-                Err(BadInput::new(part, message, format!("{frames}, one for each frame of the video")))
+                let mut expected = format!("{frames}, one for each frame of the video");
+                // A tool that writes at a constant rate doubles and drops frames of a phone's video.
+                if self.video.fps.is_some() {
+                    expected.push_str(
+                        "; `ffmpeg -i video -fps_mode passthrough frames/%05d.png` takes it apart frame by frame, and a zip of \
+                         those images may be sent as the video",
+                    );
+                }
+                Err(BadInput::new(part, message, expected))
             }
         }
     }

@@ -66,6 +66,9 @@ pub enum CaptureError {
     /// Ours: a missing tool, a full disk.
     #[error("{what}: {source}")]
     Internal { what: String, source: std::io::Error },
+    /// Whoever asked has said so.
+    #[error("stopped")]
+    Stopped,
 }
 
 impl CaptureError {
@@ -77,7 +80,7 @@ impl CaptureError {
     pub fn bad_input(&self) -> Option<&BadInput> {
         match self {
             CaptureError::Bad(bad) => Some(bad),
-            CaptureError::Internal { .. } => None,
+            CaptureError::Internal { .. } | CaptureError::Stopped => None,
         }
     }
 }

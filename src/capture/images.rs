@@ -10,7 +10,7 @@ use image::{DynamicImage, ImageDecoder, ImageReader};
 use super::archive::Archive;
 use super::limits::{self, IMAGE_BYTES};
 use super::source::{Picture, Pixels};
-use super::{BadInput, CaptureError, Part};
+use super::{BadInput, CaptureError, Part, video};
 
 pub(super) struct ImageStream {
     part: Part,
@@ -99,15 +99,12 @@ fn is_quarter_turn(orientation: Orientation) -> bool {
     matches!(orientation, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
 }
 
-/// The mask in an image: its alpha where it has any transparency (a cut-out person), else its luma.
+/// The mask in an image.
 fn matte(image: &DynamicImage) -> Vec<u8> {
-    if image.color().has_alpha() {
-        let alpha: Vec<u8> = image.to_luma_alpha8().pixels().map(|pixel| pixel.0[1]).collect();
-        if alpha.iter().any(|&a| a < 255) {
-            return alpha;
-        }
+    match image.color().has_alpha() {
+        true => video::matte(image.to_luma_alpha8().as_raw().as_chunks().0),
+        false => image.to_luma8().into_raw(),
     }
-    image.to_luma8().into_raw()
 }
 
 #[cfg(test)]

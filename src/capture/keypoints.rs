@@ -1,4 +1,4 @@
-//! 2D keypoints of every frame: our own JSON, or a zip of OpenPose's.
+//! 2D keypoints of every frame: our own JSON, plain or alone in a zip, or a zip of OpenPose's.
 
 use std::cell::Cell;
 use std::fs::File;
@@ -28,9 +28,15 @@ pub(super) struct Keypoints {
 /// Reads keypoints of either kind, told apart by content.
 pub(super) fn read(path: &Path) -> Result<Keypoints, CaptureError> {
     let mut keypoints = if archive::is_zip(path)? { openpose::read(path)? } else { read_json(path)? };
-    let people = keypoints.frames.iter_mut().flatten();
-    people.flatten().for_each(|point| point[2] = point[2].clamp(0.0, 1.0));
+    keypoints.frames.iter_mut().flatten().flatten().for_each(settle_confidence);
     Ok(keypoints)
+}
+
+/// Brings a confidence into [0, 1]. A point in the picture's very corner was not seen: detectors that leave an uncertain point
+/// out write zeros for its place, and some keep its confidence.
+fn settle_confidence(point: &mut Point) {
+    let [x, y, confidence] = *point;
+    point[2] = if (x, y) == (0.0, 0.0) { 0.0 } else { confidence.clamp(0.0, 1.0) };
 }
 
 const EXPECTED: &str = r#"JSON such as {"format": "coco17", "frames": [[[x, y, confidence] × 17] × N]}"#;
@@ -52,7 +58,8 @@ struct Place {
     point: Cell<Option<usize>>,
 }
 
-fn parse_json(reader: impl std::io::Read) -> Result<Keypoints, BadInput> {
+/// Our own JSON.
+pub(super) fn parse_json(reader: impl std::io::Read) -> Result<Keypoints, BadInput> {
     let place = Place::default();
     let mut json = serde_json::Deserializer::from_reader(reader);
     let document = json.deserialize_map(DocumentVisitor(&place)).and_then(|document| json.end().map(|()| document));
@@ -223,6 +230,17 @@ mod tests {
         assert_eq!((keypoints.format, keypoints.frames[1].len()), (BODY25, 0));
         let person = &keypoints.frames[2][0];
         assert_eq!((person.len(), person[0], person[1], person[2]), (25, [0.0, 0.0, 1.0], [0.0; 3], [12.0, 0.0, 1.0]));
+    }
+
+    #[test]
+    fn a_point_without_a_place_was_not_seen() {
+        for (given, confidence) in
+            [([0.0, 0.0, 0.4], 0.0), ([0.0, 7.0, 0.4], 0.4), ([5.0, 0.0, 3.0], 1.0), ([5.0, 7.0, -1.0], 0.0)]
+        {
+            let mut point = given;
+            settle_confidence(&mut point);
+            assert_eq!(point, [given[0], given[1], confidence]);
+        }
     }
 
     #[test]

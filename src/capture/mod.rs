@@ -26,7 +26,7 @@ mod source;
 mod tests;
 mod video;
 
-pub use clip::{CaptureInputs, CaptureOptions, Inspection, inspect};
+pub use clip::{CaptureInputs, CaptureOptions, GoOn, Inspection, inspect};
 pub use confine::Confinement;
 pub use error::{BadInput, CaptureError, Part};
 

@@ -1,4 +1,4 @@
-//! Zips of OpenPose's JSON, one file a frame.
+//! Zips of OpenPose's JSON, one file a frame; or of a single file, which may be our own JSON.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::archive::Archive;
 use super::keypoint_formats::Format;
-use super::keypoints::{Keypoints, Point};
+use super::keypoints::{self, Keypoints, Point};
 use super::{BadInput, CaptureError, Part, limits};
 
 const EXPECTED: &str = r#"OpenPose's JSON: {"people": [{"pose_keypoints_2d": [x, y, confidence, …]}]}"#;
@@ -26,6 +26,12 @@ pub(super) fn read(path: &Path) -> Result<Keypoints, CaptureError> {
     if archive.len() > limits::FRAMES {
         return Err(limits::too_many_frames(Part::Keypoints).into());
     }
+    if archive.len() == 1 {
+        let bytes = archive.read(0, limits::KEYPOINTS_BYTES)?;
+        if is_whole_clip(&bytes) {
+            return Ok(keypoints::parse_json(&bytes[..])?);
+        }
+    }
     let mut frames = Vec::with_capacity(archive.len());
     let mut format = None;
     for frame in 0..archive.len() {
@@ -36,6 +42,15 @@ pub(super) fn read(path: &Path) -> Result<Keypoints, CaptureError> {
         return Err(BadInput::new(Part::Keypoints, "nobody is in any frame", "a person in most frames").into());
     };
     Ok(Keypoints { format: format.used(), given: format, frames, warnings: Vec::new() })
+}
+
+/// Whether a file holds the frames of a clip, as our JSON does, and not the people of one frame.
+fn is_whole_clip(bytes: &[u8]) -> bool {
+    #[derive(serde::Deserialize)]
+    struct Keys {
+        frames: Option<serde::de::IgnoredAny>,
+    }
+    serde_json::from_slice::<Keys>(bytes).is_ok_and(|keys| keys.frames.is_some())
 }
 
 fn read_frame(bytes: &[u8], format: &mut Option<Format>) -> Result<Vec<Vec<Point>>, BadInput> {
@@ -98,5 +113,13 @@ mod tests {
         let error = read_frame(text.as_bytes(), &mut None).unwrap_err();
         assert!(error.message.starts_with("point 2 cannot be used: null"), "{error}");
         assert!(read_frame(b"{}", &mut None).unwrap_err().message.contains("people"));
+    }
+
+    #[test]
+    fn a_clips_file_is_told_from_a_frames() {
+        assert!(is_whole_clip(br#"{"format": "coco17", "frames": [[[1, 2]]]}"#));
+        for other in [&br#"{"version": 1.3, "people": []}"#[..], b"[]", b"{", br#"{"frames": null}"#] {
+            assert!(!is_whole_clip(other));
+        }
     }
 }

@@ -29,7 +29,7 @@ fn bad(message: impl Into<String>, expected: impl Into<String>) -> BadInput {
 
 fn parse(npz: &Npz) -> Result<(KnownPoses, Vec<String>), BadInput> {
     let mut warnings = Vec::new();
-    let poses = npz.arrays.get("poses").ok_or_else(|| bad("`poses` is missing", EXPECTED))?;
+    let poses = npz.arrays.get("poses").ok_or_else(|| missing(npz, &["poses"]))?;
     let (count, width) = match poses.shape[..] {
         [n, 24, 3] => (n, 72),
         // SMPL's body alone, SMPL, SMPL-H as in AMASS, SMPL-X: the first 66 numbers are the same joints.
@@ -50,7 +50,7 @@ fn parse(npz: &Npz) -> Result<(KnownPoses, Vec<String>), BadInput> {
     let is_pelvis = npz.arrays.contains_key("pelvis");
     let names: &[&str] = if is_pelvis { &["pelvis"] } else { &["trans", "transl"] };
     let trans = names.iter().find_map(|name| npz.arrays.get(*name).map(|array| (*name, array)));
-    let (name, trans) = trans.ok_or_else(|| bad("`trans` or `pelvis` is missing", EXPECTED))?;
+    let (name, trans) = trans.ok_or_else(|| missing(npz, &["trans", "transl", "pelvis"]))?;
     if trans.shape != [count, 3] {
         return Err(bad(format!("`{name}` has shape {:?}", trans.shape), format!("[{count}, 3], one row a pose")));
     }
@@ -58,6 +58,15 @@ fn parse(npz: &Npz) -> Result<(KnownPoses, Vec<String>), BadInput> {
     let trans = trans.data.chunks_exact(3).map(|t| [t[0] as f32, t[1] as f32, t[2] as f32]).collect();
     let betas = npz.arrays.get("betas").map(betas).transpose()?;
     Ok((KnownPoses { poses: rows, trans, is_pelvis, betas }, warnings))
+}
+
+/// Why none of `names` is there: an array of another type is no array of numbers to the reader.
+fn missing(npz: &Npz, names: &[&str]) -> BadInput {
+    match npz.skipped.iter().find(|name| names.contains(&name.as_str())) {
+        Some(name) => bad(format!("`{name}` is no array of float32, float64 or integers"), EXPECTED),
+        None if names.len() == 1 => bad(format!("`{}` is missing", names[0]), EXPECTED),
+        None => bad("`trans` or `pelvis` is missing", EXPECTED),
+    }
 }
 
 fn check_rows(name: &str, array: &Array, width: usize) -> Result<(), BadInput> {
@@ -132,6 +141,8 @@ mod tests {
             (npz(&[("poses", &[2, 71], 0.0), ("trans", &[2, 3], 0.0)]), "`poses` has shape [2, 71]"),
             (npz(&[("poses", &[2, 60], 0.0), ("trans", &[2, 3], 0.0)]), "`poses` has shape [2, 60]"),
             (npz(&[("poses", &[2, 72], 0.0)]), "`trans` or `pelvis` is missing"),
+            (Npz { skipped: vec!["poses".into()], ..npz(&[]) }, "`poses` is no array of float32"),
+            (Npz { skipped: vec!["transl".into()], ..npz(&[("poses", &[2, 72], 0.0)]) }, "`transl` is no array"),
             (npz(&[("poses", &[2, 72], 0.0), ("trans", &[3, 3], 0.0)]), "`trans` has shape [3, 3]"),
             (npz(&[("poses", &[2, 72], f64::NAN), ("trans", &[2, 3], 0.0)]), "`poses` holds NaN"),
             (npz(&[("poses", &[2, 72], 0.0), ("trans", &[2, 3], 5000.0)]), "`trans` holds 5000"),

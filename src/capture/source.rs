@@ -6,7 +6,7 @@ use std::time::Instant;
 use super::archive;
 use super::images::ImageStream;
 use super::video::{VideoFile, VideoStream};
-use super::{CaptureError, Part, limits};
+use super::{BadInput, CaptureError, Part, limits};
 
 /// What a picture holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,15 +15,6 @@ pub(super) enum Pixels {
     Rgb,
     /// `[height, width]`: luma, or alpha where that is the mask.
     Mask,
-}
-
-impl Pixels {
-    pub fn channels(self) -> usize {
-        match self {
-            Pixels::Rgb => 3,
-            Pixels::Mask => 1,
-        }
-    }
 }
 
 /// An image with its pixels, or with none where only its size was wanted.
@@ -46,6 +37,11 @@ pub(super) struct Source {
 enum Stream {
     Video(Box<VideoStream>),
     Images(Box<ImageStream>),
+    /// All frames, of which only the sizes are good, and some of them.
+    Some {
+        all: Box<VideoStream>,
+        some: Box<VideoStream>,
+    },
 }
 
 impl Source {
@@ -60,9 +56,30 @@ impl Source {
             return Ok(Self { stream: Stream::Images(Box::new(stream)), part, fps: None, warnings, count: 0 });
         }
         let file = VideoFile::open(part, path)?;
-        let stream = Stream::Video(Box::new(file.decode(pixels, fast, deadline)?));
+        let stream = Stream::Video(Box::new(file.decode(pixels, fast, None, deadline)?));
+        Ok(Self::of(&file, part, stream))
+    }
+
+    /// Opens the pictures of a clip of which only those with the numbers `kept`, which rise, will be wanted.
+    pub fn open_kept(path: &Path, kept: &[usize], deadline: Instant) -> Result<Self, CaptureError> {
+        let part = Part::Video;
+        if archive::is_zip(path)? {
+            return Self::open(part, path, Pixels::Rgb, false, deadline);
+        }
+        let file = VideoFile::open(part, path)?;
+        // To bring a frame to sRGB takes several times as long as to decode it twice.
+        let stream = if file.is_hdr() {
+            let all = Box::new(file.decode(Pixels::Mask, true, None, deadline)?);
+            Stream::Some { all, some: Box::new(file.decode(Pixels::Rgb, false, Some(kept), deadline)?) }
+        } else {
+            Stream::Video(Box::new(file.decode(Pixels::Rgb, false, None, deadline)?))
+        };
+        Ok(Self::of(&file, part, stream))
+    }
+
+    fn of(file: &VideoFile, part: Part, stream: Stream) -> Self {
         let warnings = file.warnings.iter().map(|w| format!("{part}: {w}")).collect();
-        Ok(Self { stream, part, fps: Some(file.fps), warnings, count: 0 })
+        Self { stream, part, fps: Some(file.fps), warnings, count: 0 }
     }
 
     /// The next picture; with its pixels only if they are wanted.
@@ -70,6 +87,18 @@ impl Source {
         let picture = match &mut self.stream {
             Stream::Video(video) => video.next(want)?,
             Stream::Images(images) => images.next(want)?,
+            Stream::Some { all, some } => match all.next(false)? {
+                Some(picture) if !want => Some(picture),
+                Some(_) => Some(some.next(true)?.ok_or_else(|| {
+                    BadInput::new(
+                        self.part,
+                        "the file is damaged: a second look found fewer frames",
+                        "a whole video file",
+                    )
+                    .at(self.count)
+                })?),
+                None => some.next(false)?,
+            },
         };
         self.count += usize::from(picture.is_some());
         if self.count > limits::FRAMES {
@@ -81,7 +110,7 @@ impl Source {
     /// What the decoder complained of, once the stream has ended.
     pub fn damage(&self) -> Option<&str> {
         match &self.stream {
-            Stream::Video(video) => video.damage(),
+            Stream::Video(video) | Stream::Some { all: video, .. } => video.damage(),
             Stream::Images(_) => None,
         }
     }

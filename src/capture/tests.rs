@@ -147,7 +147,7 @@ impl Clip {
     }
 
     fn load(&self) -> Result<Capture, CaptureError> {
-        Capture::load(&self.inputs, &CaptureOptions { max_frames: 100, max_side_px: 1000 })
+        Capture::load(&self.inputs, &CaptureOptions { max_frames: 100, max_side_px: 1000 }, &mut |_| true)
     }
 
     /// The error of both ways in, which must agree.
@@ -280,6 +280,11 @@ fn hdr_is_brought_to_srgb() {
             let capture = clip.load().unwrap();
             assert_is_the_clip(&capture, 6);
             assert!(capture.warnings.is_empty(), "{:?}", capture.warnings);
+            // Of frames that are left out the size alone is looked at.
+            let some = Capture::load_frames(&clip.inputs, &[3, 9], 96, &mut |_| true).unwrap();
+            let pictures = |capture: &Capture| capture.frames.iter().map(|f| f.rgb.clone()).collect::<Vec<_>>();
+            let all = pictures(&capture);
+            assert_eq!(pictures(&some), [all[3].clone(), all[9].clone()]);
         }
     }
 }
@@ -312,6 +317,62 @@ fn masks_as_a_video_and_as_cut_outs() {
     let cut_out = |i| png(&cut_out(i), WIDTH, HEIGHT, image::ExtendedColorType::Rgba8);
     clip.masks(&zip((0..COUNT).map(|i| (format!("{i:04}.png"), cut_out(i)))));
     assert_is_the_clip(&clip.load().unwrap(), 12);
+}
+
+#[test]
+fn masks_as_the_transparency_of_a_video() {
+    let encoders = Command::new("ffmpeg").args(["-v", "error", "-encoders"]).output().unwrap().stdout;
+    let encoders = String::from_utf8(encoders).unwrap();
+    // The person dark, the rest light and transparent: the wrong way round without the transparency.
+    let cut_out = |i| -> Vec<u8> {
+        let pixels = mask(i).into_iter();
+        pixels.flat_map(|a| if a == 0 { [230, 230, 230, 0] } else { [20, 20, 20, 255] }).collect()
+    };
+    let opaque = |i| -> Vec<u8> { mask(i).into_iter().flat_map(|v| [v, v, v, 255]).collect() };
+    #[rustfmt::skip]
+    let cases: [&[&str]; 4] = [
+        &["-c:v", "ffv1", "-pix_fmt", "yuva420p", "-f", "matroska"],
+        &["-c:v", "qtrle", "-pix_fmt", "argb", "-f", "mov"],
+        &["-c:v", "prores_ks", "-profile:v", "4444", "-pix_fmt", "yuva444p10le", "-f", "mov"],
+        &["-c:v", "libvpx-vp9", "-lossless", "1", "-pix_fmt", "yuva420p", "-f", "webm"],
+    ];
+    for arguments in cases {
+        if !encoders.contains(arguments[1]) {
+            eprintln!("{}: ignored, this FFmpeg cannot write it", arguments[1]);
+            continue;
+        }
+        for pictures in [&cut_out as &dyn Fn(usize) -> Vec<u8>, &opaque] {
+            let clip = Clip::new();
+            clip.masks(&encode((0..COUNT).map(pictures), "rgba", arguments));
+            eprintln!("{}", arguments[1]);
+            assert_is_the_clip(&clip.load().unwrap(), 12);
+        }
+    }
+}
+
+#[test]
+fn a_look_at_a_clip_tells_how_far_it_is_and_can_be_stopped() {
+    let clip = Clip::new();
+    for (max_frames, looks) in [(100, COUNT + 1), (4, 2 * COUNT + 1)] {
+        let options = CaptureOptions { max_frames, max_side_px: 96 };
+        let mut told = Vec::new();
+        Capture::load(&clip.inputs, &options, &mut |read| {
+            told.push(read);
+            true
+        })
+        .unwrap();
+        assert_eq!(told.len(), looks);
+        assert!(told.is_sorted() && told[0] < 0.3 && told[looks - 1] == 1.0, "{told:?}");
+        for last in [0, COUNT - 1, looks - 1] {
+            let mut asked = 0;
+            let stopped = Capture::load(&clip.inputs, &options, &mut |_| {
+                asked += 1;
+                asked <= last
+            });
+            assert!(matches!(stopped, Err(CaptureError::Stopped)), "{last}");
+            assert_eq!(asked, last + 1);
+        }
+    }
 }
 
 #[test]
@@ -371,7 +432,8 @@ fn frames_are_thinned_and_scaled_with_their_keypoints_and_poses() {
     clip.inputs.poses = clip.add("poses", npz.finish().unwrap().into_inner());
     let camera = r#"{"width": 64, "height": 96, "fx": 80, "fy": 81, "cx": 32, "cy": 48}"#;
     clip.inputs.camera = clip.add("camera", camera);
-    let capture = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }).unwrap();
+    let capture =
+        Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }, &mut |_| true).unwrap();
     assert_eq!(capture.frames.iter().map(|f| f.index).collect::<Vec<_>>(), [0, 3, 6, 9]);
     let camera = &capture.camera;
     assert_eq!((camera.width, camera.height, camera.fx, camera.fy, camera.cx), (32, 48, 40.0, 40.5, 16.0));
@@ -417,27 +479,30 @@ fn the_frames_that_are_kept_have_somebody_in_them() {
         _ => mask_png(i),
     };
     clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), masks(i)))));
-    let capture = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }).unwrap();
+    let capture =
+        Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }, &mut |_| true).unwrap();
     // Of 4 to 11 each second one, without the speck, of which half the size leaves nothing.
     assert_eq!(capture.frames.iter().map(|frame| frame.index).collect::<Vec<_>>(), [4, 8, 10]);
     let warnings = [
         "masks: 4 of 12 are empty, the first of them 0: those frames are left out",
+        "keypoints: in 1 frames, the first of them 6, they are of somebody beside the mask: taken as not seen",
         "masks: nothing of the mask is left at 32×48 pixels in 1 of 4 frames, the first of them 6: left out",
     ];
     assert_eq!(capture.warnings, warnings);
     // Masks that are a video are gone through twice as well.
     let black = |i| if i < 4 { vec![0; (WIDTH * HEIGHT) as usize] } else { mask(i) };
     clip.masks(&encode((0..COUNT).map(black), "gray", &["-c:v", "ffv1", "-f", "matroska"]));
-    let capture = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }).unwrap();
+    let capture =
+        Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }, &mut |_| true).unwrap();
     assert_eq!(capture.frames.iter().map(|frame| frame.index).collect::<Vec<_>>(), [4, 6, 8, 10]);
 }
 
 #[test]
 fn some_frames_are_loaded_again_at_another_size() {
     let clip = Clip::new();
-    let small = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }).unwrap();
+    let small = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 48 }, &mut |_| true).unwrap();
     assert_eq!(small.uploaded_side_px, 96);
-    let large = Capture::load_frames(&clip.inputs, &[3, 9], 96).unwrap();
+    let large = Capture::load_frames(&clip.inputs, &[3, 9], 96, &mut |_| true).unwrap();
     assert_eq!(large.frames.iter().map(|f| f.index).collect::<Vec<_>>(), [3, 9]);
     assert_eq!((large.camera.width, large.camera.height), (64, 96));
     let whole = clip.load().unwrap();
@@ -457,7 +522,8 @@ fn keypoints_of_frames_that_are_left_out_smooth_the_others() {
     let detected = |i: usize| points(0).into_iter().map(move |[x, y, c]| [x + noise(i), y, c]).collect();
     clip.keypoints(keypoint_json(&(0..30).map(detected).collect::<Vec<_>>()));
     let errors = |max_frames| {
-        let capture = Capture::load(&clip.inputs, &CaptureOptions { max_frames, max_side_px: 96 }).unwrap();
+        let capture =
+            Capture::load(&clip.inputs, &CaptureOptions { max_frames, max_side_px: 96 }, &mut |_| true).unwrap();
         capture.frames.iter().map(|f| f64::from(f.keypoints[5][0]) - points(0)[5][0]).collect::<Vec<f64>>()
     };
     let squares = |errors: &[f64]| errors.iter().map(|e| e * e).sum::<f64>();
@@ -487,10 +553,13 @@ fn openpose_files_of_several_people() {
     assert_eq!(capture.frames[5].keypoints[2][0], points(5)[2][0] as f32);
     assert_eq!(capture.warnings, ["keypoints: nobody is seen in 1 frames, the first of them 0"]);
 
+    // Our own JSON, compressed.
+    let document = keypoint_json(&(0..COUNT).map(points).collect::<Vec<_>>());
+    clip.keypoints(zip([("./keypoints.json".to_owned(), document.into_bytes())]));
+    assert_is_the_clip(&clip.load().unwrap(), 12);
+
     clip.keypoints(zip((0..COUNT - 1).map(|i| (format!("{i}.json"), file(i).to_string().into()))));
     let error = clip.error();
-    assert_eq!(
-        error.to_string(),
-        "keypoints: there are 11 frames of keypoints, the video has 12 (expected 12, one for each frame of the video)"
-    );
+    assert_eq!(error.message, "there are 11 frames of keypoints, the video has 12");
+    assert!(error.expected.starts_with("12, one for each frame of the video; `ffmpeg"), "{error}");
 }

@@ -30,6 +30,8 @@ pub(super) struct VideoFile {
     announced: Option<u32>,
     /// Of a video that is brought from HDR to sRGB
     hdr: Option<Colours>,
+    /// Of masks whose pictures have transparency.
+    alpha: Option<Alpha>,
     pub warnings: Vec<String>,
 }
 
@@ -57,8 +59,40 @@ struct ProbeStream {
     nb_frames: Option<String>,
     duration: Option<String>,
     sample_aspect_ratio: String,
+    codec_name: String,
+    pix_fmt: String,
+    tags: ProbeTags,
     #[serde(flatten)]
     colours: Colours,
+}
+
+#[derive(Default, serde::Deserialize)]
+#[serde(default)]
+struct ProbeTags {
+    #[serde(alias = "ALPHA_MODE")]
+    alpha_mode: String,
+}
+
+/// Transparency beside a video's colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Alpha {
+    /// In the pictures themselves.
+    Stored,
+    /// In a second stream of VP8's or VP9's, which this decoder reads and FFmpeg's own does not.
+    Beside(&'static str),
+}
+
+impl Alpha {
+    fn of(stream: &ProbeStream) -> Option<Self> {
+        let beside = stream.tags.alpha_mode == "1";
+        match stream.codec_name.as_str() {
+            "vp8" if beside => return Some(Self::Beside("libvpx")),
+            "vp9" if beside => return Some(Self::Beside("libvpx-vp9")),
+            _ => {}
+        }
+        let names = ["yuva", "gbrap", "rgba", "bgra", "argb", "abgr", "ya8", "ya16", "pal8"];
+        names.iter().any(|name| stream.pix_fmt.starts_with(name)).then_some(Self::Stored)
+    }
 }
 
 impl VideoFile {
@@ -110,38 +144,111 @@ impl VideoFile {
             ));
             hdr = None;
         }
-        Ok(Self { part, path, url, fps: rate.unwrap_or(30.0), announced, hdr, warnings })
+        let alpha = if part == Part::Masks { Alpha::of(stream) } else { None };
+        if let Some(Alpha::Beside(decoder)) = alpha
+            && !knows("-decoders", &[decoder])?
+        {
+            let message = format!("the video has transparency that this FFmpeg, without `{decoder}`, cannot read");
+            return Err(BadInput::new(part, message, "a black and white video, or a zip of PNG images").into());
+        }
+        Ok(Self { part, path, url, fps: rate.unwrap_or(30.0), announced, hdr, alpha, warnings })
     }
 
-    /// Starts decoding. Every stored frame comes once, turned as its rotation tag says. With `fast`, filters that
-    /// only smooth the picture are left out. HDR comes as sRGB, but for `fast` and for masks.
-    pub fn decode(&self, pixels: Pixels, fast: bool, deadline: Instant) -> Result<VideoStream, CaptureError> {
-        let (codec, format) = match pixels {
-            Pixels::Rgb => ("ppm", "rgb24"),
-            Pixels::Mask => ("pgm", "gray"),
+    /// Whether decoding brings HDR to sRGB.
+    pub fn is_hdr(&self) -> bool {
+        self.hdr.is_some()
+    }
+
+    /// Starts decoding. Every stored frame comes once, turned as its rotation tag says; with `some` only those with these
+    /// numbers, which rise. With `fast`, filters that only smooth the picture are left out. HDR comes as sRGB, but for `fast`
+    /// and for masks.
+    pub fn decode(
+        &self,
+        pixels: Pixels,
+        fast: bool,
+        some: Option<&[usize]>,
+        deadline: Instant,
+    ) -> Result<VideoStream, CaptureError> {
+        let layout = match pixels {
+            Pixels::Rgb => Layout::Rgb,
+            Pixels::Mask if self.alpha.is_some() => Layout::GreyAlpha,
+            Pixels::Mask => Layout::Grey,
         };
+        let (codec, format) = layout.names();
         let max_pixels = limits::PIXELS.to_string();
         let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(4)).to_string();
         let skip = if fast { "all" } else { "default" };
         let passthrough = passthrough_option()?;
         let mut filters = "settb=1,setpts=N".to_owned();
+        if let Some(frames) = some {
+            let numbers: Vec<String> = frames.iter().map(|n| format!("eq(n,{n})")).collect();
+            filters = format!("{filters},select='{}'", numbers.join("+"));
+        }
         if let Some(colours) = self.hdr.as_ref().filter(|_| pixels == Pixels::Rgb && !fast) {
             filters = format!("{filters},{}", colours.to_srgb());
         }
         // Portable pixmaps tell the size of each picture in the stream itself, after rotation. Frames are numbered
         // anew, so that odd timestamps neither drop one nor raise complaints.
         #[rustfmt::skip]
-        let arguments = [
+        let mut arguments = vec![
             "-hide_banner", "-nostdin", "-v", "error",
             "-protocol_whitelist", PROTOCOLS, "-format_whitelist", FORMATS,
-            "-max_pixels", &max_pixels, "-threads", &threads, "-skip_loop_filter", skip, "-i", &self.url,
-            "-map", "0:V:0", "-an", "-sn", "-dn", "-vf", &filters, passthrough, "passthrough",
+            "-max_pixels", &max_pixels, "-threads", &threads, "-skip_loop_filter", skip,
+        ];
+        if let Some(Alpha::Beside(decoder)) = self.alpha {
+            arguments.extend(["-c:v", decoder]);
+        }
+        #[rustfmt::skip]
+        arguments.extend([
+            "-i", &self.url, "-map", "0:V:0", "-an", "-sn", "-dn", "-vf", &filters, passthrough, "passthrough",
             "-sws_flags", "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp",
             "-c:v", codec, "-pix_fmt", format, "-f", "image2pipe", "pipe:1",
-        ];
+        ]);
         let running = Some(Tool::start("ffmpeg", &arguments, Some(&self.path), deadline)?);
-        Ok(VideoStream { part: self.part, running, announced: self.announced, pixels, count: 0, damage: None })
+        let announced = if some.is_some() { None } else { self.announced };
+        Ok(VideoStream { part: self.part, running, announced, layout, count: 0, damage: None })
     }
+}
+
+/// How the pictures of a stream are laid out.
+#[derive(Clone, Copy)]
+enum Layout {
+    Rgb,
+    Grey,
+    GreyAlpha,
+}
+
+impl Layout {
+    /// FFmpeg's encoder and pixel format.
+    fn names(self) -> (&'static str, &'static str) {
+        match self {
+            Layout::Rgb => ("ppm", "rgb24"),
+            Layout::Grey => ("pgm", "gray"),
+            Layout::GreyAlpha => ("pam", "ya8"),
+        }
+    }
+
+    fn channels(self) -> usize {
+        match self {
+            Layout::Rgb => 3,
+            Layout::Grey => 1,
+            Layout::GreyAlpha => 2,
+        }
+    }
+
+    /// The pixels of a [`Picture`].
+    fn pixels(self, data: Vec<u8>) -> Vec<u8> {
+        match self {
+            Layout::Rgb | Layout::Grey => data,
+            Layout::GreyAlpha => matte(data.as_chunks().0),
+        }
+    }
+}
+
+/// The mask in luma and alpha: alpha where there is any transparency (a cut-out person), else luma.
+pub(super) fn matte(pixels: &[[u8; 2]]) -> Vec<u8> {
+    let channel = usize::from(pixels.iter().any(|pixel| pixel[1] < u8::MAX));
+    pixels.iter().map(|pixel| pixel[channel]).collect()
 }
 
 /// Pictures out of a running FFmpeg.
@@ -150,7 +257,7 @@ pub(super) struct VideoStream {
     /// Until the stream has ended.
     running: Option<(Tool, Output)>,
     announced: Option<u32>,
-    pixels: Pixels,
+    layout: Layout,
     count: usize,
     damage: Option<String>,
 }
@@ -161,7 +268,7 @@ impl VideoStream {
         let Some((_, output)) = &mut self.running else { return Ok(None) };
         let Some((width, height)) = read_header(output) else { return self.end() };
         limits::check_image_size(self.part, width, height)?;
-        let bytes = width as usize * height as usize * self.pixels.channels();
+        let bytes = width as usize * height as usize * self.layout.channels();
         let mut data = Vec::new();
         let mut body = output.by_ref().take(bytes as u64);
         let read = if want {
@@ -174,7 +281,7 @@ impl VideoStream {
             return self.end();
         }
         self.count += 1;
-        Ok(Some(Picture { width, height, data }))
+        Ok(Some(Picture { width, height, data: self.layout.pixels(data) }))
     }
 
     /// What FFmpeg complained of, once the stream has ended.
@@ -229,14 +336,27 @@ fn run(
     Ok((bytes, tool.finish(output)?))
 }
 
-/// `P6\nwidth height\n255\n`; `None` at the end of the stream.
+/// `P6\nwidth height\n255\n`, or with P7 a line for each of more numbers; `None` at the end of the stream.
 fn read_header(reader: &mut impl BufRead) -> Option<(u32, u32)> {
     let mut line = || {
         let mut line = Vec::new();
         reader.by_ref().take(32).read_until(b'\n', &mut line).ok()?;
         String::from_utf8(line).ok()
     };
-    let (_magic, size, _maximum) = (line()?, line()?, line()?);
+    if line()?.starts_with("P7") {
+        let (mut width, mut height) = (None, None);
+        loop {
+            let line = line()?;
+            match line.trim().split_once(' ') {
+                Some(("WIDTH", number)) => width = number.parse().ok(),
+                Some(("HEIGHT", number)) => height = number.parse().ok(),
+                None if line.starts_with("ENDHDR") => return Some((width?, height?)),
+                None => return None,
+                Some(_) => {}
+            }
+        }
+    }
+    let (size, _maximum) = (line()?, line()?);
     let (width, height) = size.trim().split_once(' ')?;
     Some((width.parse().ok()?, height.parse().ok()?))
 }
@@ -277,10 +397,16 @@ fn maps_hdr() -> Result<bool, CaptureError> {
     if let Some(&maps) = MAPS.get() {
         return Ok(maps);
     }
-    let (text, _) = run("ffmpeg", &["-hide_banner", "-filters"], None, 1 << 20)?;
+    let maps = knows("-filters", &hdr::FILTERS)?;
+    Ok(*MAPS.get_or_init(|| maps))
+}
+
+/// Whether all `names` are in a list that FFmpeg prints.
+fn knows(list: &str, names: &[&str]) -> Result<bool, CaptureError> {
+    let (text, _) = run("ffmpeg", &["-hide_banner", list], None, 1 << 20)?;
     let text = String::from_utf8_lossy(&text);
-    let names: Vec<&str> = text.lines().filter_map(|line| line.split_whitespace().nth(1)).collect();
-    Ok(*MAPS.get_or_init(|| hdr::FILTERS.iter().all(|name| names.contains(name))))
+    let known: Vec<&str> = text.lines().filter_map(|line| line.split_whitespace().nth(1)).collect();
+    Ok(names.iter().all(|name| known.contains(name)))
 }
 
 /// Builds without a version number (`N-109000-g…`) are taken as recent.
@@ -317,6 +443,10 @@ mod tests {
     #[test]
     fn headers_of_pixmaps() {
         assert_eq!(read_header(&mut &b"P6\n360 640\n255\nxyz"[..]), Some((360, 640)));
+        let pam = b"P7\nWIDTH 36\nHEIGHT 64\nDEPTH 2\nMAXVAL 255\nTUPLTYPE GRAYSCALE_ALPHA\nENDHDR\nxyz";
+        let mut rest = &pam[..];
+        assert_eq!((read_header(&mut rest), rest), (Some((36, 64)), &b"xyz"[..]));
+        assert_eq!(read_header(&mut &pam[..40]), None);
         assert_eq!(read_header(&mut &b""[..]), None);
         assert_eq!(read_header(&mut &b"P6\n36"[..]), None);
     }

@@ -83,7 +83,7 @@ impl Person {
             poses: None,
         };
         let whole = CaptureOptions { max_frames: options.frames as u32, max_side_px: options.size_px };
-        let capture = Capture::load(&inputs, &whole)?;
+        let capture = Capture::load(&inputs, &whole, &mut |_| true)?;
         Ok(Self { gpu: context.gpu.clone(), body: context.load_body()?, capture, folder })
     }
 

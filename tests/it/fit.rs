@@ -360,7 +360,8 @@ impl Start {
     fn new(gpu: &Arc<Gpu>, max_frames: u32) -> Self {
         let body = Body::test_body();
         let inputs = input(clip(gpu)).capture_inputs();
-        let mut capture = Capture::load(&inputs, &CaptureOptions { max_frames, max_side_px: 96 }).unwrap();
+        let mut capture =
+            Capture::load(&inputs, &CaptureOptions { max_frames, max_side_px: 96 }, &mut |_| true).unwrap();
         let start = stage0::solve(&body, &capture, &Stage0Options::default(), &mut |_| true).unwrap();
         start.reread(&mut capture);
         let field = FitConfig::draft(0).field;

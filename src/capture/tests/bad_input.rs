@@ -107,12 +107,13 @@ fn empty_masks() {
     assert_error(&clip, Part::Masks, Some(4), "the mask is empty, 0 pixels are foreground; 8 of 12 masks are");
     // Whoever walks in is not there yet.
     clip.masks(&files(|i| i < 3));
-    let error = Capture::load_frames(&clip.inputs, &[1], 96).unwrap_err();
+    let error = Capture::load_frames(&clip.inputs, &[1], 96, &mut |_| true).unwrap_err();
     assert_eq!(error.bad_input().unwrap().message, "of the 1 frames that are kept, each has an empty mask");
     let speck = mask_of(|x, y| (21..23).contains(&x) && (31..33).contains(&y));
     clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), speck.clone()))));
     clip.keypoints(keypoint_json(&vec![vec![[22.0, 32.0, 0.9]; 17]; COUNT]));
-    let error = Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 16 }).unwrap_err();
+    let error =
+        Capture::load(&clip.inputs, &CaptureOptions { max_frames: 4, max_side_px: 16 }, &mut |_| true).unwrap_err();
     let bad = error.bad_input().unwrap();
     assert_eq!((bad.frame, bad.message.as_str()), (Some(0), "nothing of the mask is left at 11×16 pixels"));
     clip.keypoints(keypoint_json(&(0..COUNT).map(points).collect::<Vec<_>>()));

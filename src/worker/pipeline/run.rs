@@ -9,8 +9,7 @@ use super::curves::Curves;
 use super::monitor::Monitor;
 use super::{Observer, Outcome, PipelineError, PipelineInput, Stage, StopReason, export};
 use crate::body::Body;
-use crate::camera::Camera;
-use crate::capture::{Capture, CaptureOptions};
+use crate::capture::{Capture, CaptureError, CaptureOptions};
 use crate::fit::covered::Covered;
 use crate::fit::detail::{Closer, Detail};
 use crate::fit::skirt::Skirt;
@@ -35,7 +34,7 @@ pub fn run(
     let mut config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
     let mut body = load_body(data_dir, &input.options.body)?;
-    let mut capture = load_capture(input)?;
+    let mut capture = load_capture(input, &mut monitor)?;
     // Of the detections as they were given: what follows reads them anew.
     let measures = quality::measure(&capture);
     quality::settle_masks(&mut capture, &quality::edge_offsets(&measures));
@@ -63,7 +62,8 @@ pub fn run(
     monitor.preview_from(&body, &capture, &start.camera, &config, &state);
     let steps_of = |config: &FitConfig| config.steps(&config.texture.phases, capture.frames.len());
     let mut texture_steps = steps_of(&config);
-    let details = closer(&capture, &config).map_or(0, |closer| closer.steps(&config));
+    let closer = if config.detail { Closer::to(&capture) } else { None };
+    let details = closer.as_ref().map_or(0, |closer| closer.steps(&config));
     monitor.expect_texture_steps(texture_steps + details);
     monitor.start(Stage::Geometry)?;
     let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
@@ -84,7 +84,13 @@ pub fn run(
         let fitted = fit::run(gpu, &body, &capture, &start.camera, &alone, state_before, &tailored, &mut monitor);
         state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     }
-    let detail = look_closer(input, &body, &mut capture, &measures, &start.camera, &config, &state)?;
+    let large = match &closer {
+        Some(closer) => larger_pictures(input, closer, &mut capture, &measures, &mut monitor)?,
+        None => None,
+    };
+    let detail = closer
+        .zip(large)
+        .map(|(closer, large)| Detail::new(&body, &capture, &start.camera, &config, &state, &closer, large));
     if let Some(detail) = &detail {
         let begun = resumed(detail.start(&state, &config), &detailed);
         monitor.go_on_with(&detailed, texture_steps);
@@ -103,44 +109,32 @@ pub fn run(
     export::export(gpu, &done, input, out_dir, &mut monitor)
 }
 
-/// Which frames the texture goes on with after the fit, if it does.
-fn closer(capture: &Capture, config: &FitConfig) -> Option<Closer> {
-    if config.detail { Closer::to(capture) } else { None }
-}
-
-/// What the texture goes on with after the fit that has ended in `state`, if there is anything.
-fn look_closer(
+/// The pictures that the texture goes on with after the fit, if they can be had.
+fn larger_pictures(
     input: &PipelineInput,
-    body: &Body,
+    closer: &Closer,
     capture: &mut Capture,
     measures: &[quality::FrameMeasures],
-    camera: &Camera,
-    config: &FitConfig,
-    state: &FitState,
-) -> Result<Option<Detail>, PipelineError> {
-    let Some(closer) = closer(capture, config) else { return Ok(None) };
-    let large = match closer.own(capture) {
-        Some(own) => own,
-        None => {
-            let large = Capture::load_frames(&input.capture_inputs(), &closer.frames, closer.side_px);
-            let mut large = match large {
-                Ok(large) => large,
-                // The fit is done, and without detail it is still a whole avatar.
-                Err(error) if error.bad_input().is_some() => {
-                    capture
-                        .warnings
-                        .push(format!("the texture gets no detail: larger pictures cannot be had: {error}"));
-                    return Ok(None);
-                }
-                Err(error) => return Err(error.into()),
-            };
-            let offsets = closer.of(&quality::edge_offsets(measures)).into_iter();
-            let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * closer.gain)).collect();
-            quality::settle_masks(&mut large, &offsets);
-            large
+    monitor: &mut Monitor<'_>,
+) -> Result<Option<Capture>, PipelineError> {
+    if let Some(own) = closer.own(capture) {
+        return Ok(Some(own));
+    }
+    let go_on = &mut |_| monitor.go_on();
+    let large = Capture::load_frames(&input.capture_inputs(), &closer.frames, closer.side_px, go_on);
+    let mut large = match large {
+        Ok(large) => large,
+        // The fit is done, and without detail it is still a whole avatar.
+        Err(error) if error.bad_input().is_some() => {
+            capture.warnings.push(format!("the texture gets no detail: larger pictures cannot be had: {error}"));
+            return Ok(None);
         }
+        Err(error) => return Err(from_capture(error, monitor)),
     };
-    Ok(Some(Detail::new(body, capture, camera, config, state, &closer, large)))
+    let offsets = closer.of(&quality::edge_offsets(measures)).into_iter();
+    let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * closer.gain)).collect();
+    quality::settle_masks(&mut large, &offsets);
+    Ok(Some(large))
 }
 
 /// A checkpoint that cannot be read is worth no more than none.
@@ -183,8 +177,19 @@ fn load_body(data_dir: &Path, name: &str) -> Result<Body, PipelineError> {
     })
 }
 
-fn load_capture(input: &PipelineInput) -> Result<Capture, PipelineError> {
-    Ok(Capture::load(&input.capture_inputs(), &capture_options(&input.options))?)
+fn load_capture(input: &PipelineInput, monitor: &mut Monitor<'_>) -> Result<Capture, PipelineError> {
+    let loaded = Capture::load(&input.capture_inputs(), &capture_options(&input.options), &mut |read| {
+        monitor.tell(Stage::Decode, (read * 100.0) as u32, 100);
+        monitor.go_on()
+    });
+    loaded.map_err(|error| from_capture(error, monitor))
+}
+
+fn from_capture(error: CaptureError, monitor: &Monitor<'_>) -> PipelineError {
+    match error {
+        CaptureError::Stopped => PipelineError::Stopped(monitor.stopped.unwrap_or(StopReason::Shutdown)),
+        other => other.into(),
+    }
 }
 
 fn solve_poses(
