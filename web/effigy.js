@@ -121,7 +121,7 @@ async function watch(id) {
   watched = new AbortController();
   const { signal } = watched;
   for (const hidden of ["result", "preview", "cancel", "retry", "job-problem"]) $(hidden).hidden = true;
-  for (const emptied of ["state", "stage", "eta", "losses"]) $(emptied).textContent = "";
+  for (const emptied of ["state", "stage", "eta", "losses", "warnings"]) $(emptied).textContent = "";
   $("progress").value = 0;
   $("job").hidden = false;
   $("job-id").textContent = id;
@@ -181,6 +181,7 @@ function draw(job) {
   if (job.progress !== undefined) $("progress").value = job.progress;
   const losses = Object.entries(job.losses ?? {}).map(([name, value]) => `${name} ${value.toPrecision(3)}`);
   if (job.losses) $("losses").textContent = losses.join(" · ");
+  if (job.clip) $("warnings").replaceChildren(...job.clip.warnings.map((warning) => element("li", warning)));
   $("cancel").hidden = !["queued", "running"].includes(job.state);
   $("retry").hidden = !["failed", "canceled"].includes(job.state);
   if (job.preview_url) preview(job.preview_url, watched.signal);

@@ -7,7 +7,7 @@ use super::ply::Mesh;
 use super::pose::Pose;
 use crate::body::{Body, BodyError};
 use crate::camera::Camera;
-use crate::npz::{Npz, NpzError, NpzWriter};
+use crate::npz::{self, Npz, NpzError, NpzWriter};
 use crate::ops::light::Light;
 use crate::ops::skinning::cpu::{Posed, forward};
 use crate::ops::texture_field::{TextureFieldConfig, TextureFieldError, TextureFieldParams};
@@ -36,8 +36,10 @@ pub struct AvatarModel {
     pub face_colours: Vec<[f32; 3]>,
     /// `[N, 72]`
     pub poses: Vec<Pose>,
-    /// `[N, 3]`: SMPL's `transl`
+    /// `[N, 3]`: SMPL's `transl`, of this `body`
     pub transl: Vec<[f32; 3]>,
+    /// Metres in the T-pose: how far the pelvis joint of this `body` lies from that of the model it was made of
+    pub pelvis_moved: [f32; 3],
     /// `[N]` indices in the video, ascending
     pub frames: Vec<u32>,
     /// Frames a second of the video
@@ -70,6 +72,8 @@ struct Meta {
     #[serde(default = "even")]
     light: Light,
     texture_config: TextureFieldConfig,
+    #[serde(default)]
+    pelvis_moved: [f32; 3],
     fps: f64,
     camera: Camera,
 }
@@ -160,6 +164,9 @@ impl AvatarModel {
         if !self.light.is_sound() {
             return invalid("the light is not finite, or its direction has not length one".to_owned());
         }
+        if self.pelvis_moved.iter().any(|x| !x.is_finite()) {
+            return invalid("`pelvis_moved` is not finite".to_owned());
+        }
         if !(self.fps.is_finite() && self.fps > 0.0) {
             return invalid(format!("fps is {}", self.fps));
         }
@@ -168,8 +175,7 @@ impl AvatarModel {
 
     /// Writes the avatar so that `path` holds either what it held before or the whole new file.
     pub fn save(&self, path: &Path) -> Result<(), ModelError> {
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let mut file = tempfile::NamedTempFile::new_in(folder)?;
+        let mut file = npz::in_place_of(path)?;
         self.write(BufWriter::new(file.as_file_mut()))?;
         file.as_file().sync_all()?;
         file.persist(path).map_err(|e| e.error)?;
@@ -183,8 +189,13 @@ impl AvatarModel {
         let mut body = Cursor::new(Vec::new());
         self.body.write(&mut body)?;
         let body = body.into_inner();
-        let meta =
-            Meta { light: self.light, texture_config: self.texture_config, fps: self.fps, camera: self.camera.clone() };
+        let meta = Meta {
+            light: self.light,
+            texture_config: self.texture_config,
+            pelvis_moved: self.pelvis_moved,
+            fps: self.fps,
+            camera: self.camera.clone(),
+        };
         let meta = serde_json::to_vec(&meta).map_err(|e| ModelError::Invalid(e.to_string()))?;
         let mut npz = NpzWriter::new(out);
         npz.add("format_version", &[], &[FORMAT_VERSION])?;
@@ -238,6 +249,7 @@ impl AvatarModel {
             face_colours: rows(&npz, "face_colours")?,
             poses: rows(&npz, "poses")?,
             transl: rows(&npz, "transl")?,
+            pelvis_moved: meta.pelvis_moved,
             frames: npz.shaped("frames", &[usize::MAX])?.data.iter().map(|&x| x as u32).collect(),
             fps: meta.fps,
             camera: meta.camera,
@@ -265,6 +277,14 @@ mod tests {
         model.save(&path).unwrap();
         assert_eq!(AvatarModel::load(&path).unwrap(), model);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing temporary stays");
+        // As any other result.
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            std::fs::write(folder.path().join("other"), "").unwrap();
+            let mode = |name: &str| folder.path().join(name).metadata().unwrap().permissions().mode();
+            assert_eq!(mode("model.npz"), mode("other"));
+        }
     }
 
     #[test]

@@ -5,14 +5,25 @@ use std::io::{Seek, Write};
 use super::AvatarModel;
 use crate::npz::{NpzError, NpzWriter};
 
-/// Writes `poses [N, 72]`, `trans [N, 3]` (SMPL's `transl`), `betas [B]`, `frames [N]` (indices in the video), `times [N]`
+/// Writes `poses [N, 72]`, `trans [N, 3]` (SMPL's `transl`, of the model that the avatar's body was made of), `pelvis [N, 3]` (where the
+/// avatar's pelvis joint is), `betas [B]`, `frames [N]` (indices in the video), `times [N]`
 /// (seconds from the first of them, as in the glTF) and `mocap_framerate` (of the kept frames: the video's rate over their mean
 /// distance). Returns the writer.
 pub fn write_motion<W: Write + Seek>(model: &AvatarModel, out: W) -> Result<W, NpzError> {
     let n = model.poses.len();
     let mut npz = NpzWriter::new(out);
     npz.add("poses", &[n, 72], model.poses.as_flattened())?;
-    npz.add("trans", &[n, 3], model.transl.as_flattened())?;
+    // A body turns about its pelvis: about another one it lies as it did at another place.
+    let moved = glam::Vec3::from(model.pelvis_moved);
+    let frames = || model.poses.iter().zip(&model.transl).map(|(pose, transl)| (pose, glam::Vec3::from(*transl)));
+    let trans = frames().map(|(pose, transl)| {
+        let turn = glam::Quat::from_scaled_axis(glam::Vec3::from_slice(pose));
+        (transl - (turn * moved - moved)).to_array()
+    });
+    npz.add("trans", &[n, 3], trans.collect::<Vec<_>>().as_flattened())?;
+    let joint = glam::Vec3::from(model.body.shaped_joints(&model.betas)[0]);
+    let pelvis = frames().map(|(_, transl)| (joint + transl).to_array());
+    npz.add("pelvis", &[n, 3], pelvis.collect::<Vec<_>>().as_flattened())?;
     npz.add("betas", &[model.betas.len()], &model.betas)?;
     npz.add("frames", &[n], &model.frames.iter().map(|&f| f as i64).collect::<Vec<_>>())?;
     npz.add("times", &[n], &model.times())?;
@@ -35,6 +46,7 @@ mod tests {
 
     use super::*;
     use crate::npz::Npz;
+    use crate::ops::skinning::cpu::forward;
 
     #[test]
     fn every_array_has_its_name_and_shape() {
@@ -42,7 +54,20 @@ mod tests {
         let npz = Npz::read(write_motion(&model, Cursor::new(Vec::new())).unwrap(), 1 << 20).unwrap();
         let n = model.poses.len();
         assert_eq!(npz.shaped("poses", &[n, 72]).unwrap().f32(), model.poses.as_flattened());
-        assert_eq!(npz.shaped("trans", &[n, 3]).unwrap().f32(), model.transl.as_flattened());
+        // The body that the avatar's was made of, with its own pelvis, lies where the avatar's does.
+        let mut body = model.body.clone();
+        (0..3).for_each(|k| body.j_template[0][k] -= model.pelvis_moved[k]);
+        let (trans, pelvis) =
+            (npz.shaped("trans", &[n, 3]).unwrap().f32(), npz.shaped("pelvis", &[n, 3]).unwrap().f32());
+        for k in 0..n {
+            let ours = model.posed(&model.poses[k], model.transl[k]);
+            let place = trans.as_chunks().0[k];
+            let theirs = forward(&body, &model.betas, Some(&model.offsets), &model.poses[k], place);
+            let distance = |a: &[f32; 3], b: &[f32; 3]| glam::Vec3::from(*a).distance(glam::Vec3::from(*b));
+            let off = ours.vertices.iter().zip(&theirs.vertices).map(|(a, b)| distance(a, b)).fold(0.0, f32::max);
+            assert!(off < 1e-5, "frame {k}: {off} m");
+            assert!(distance(&pelvis.as_chunks().0[k], &ours.joints[0]) < 1e-5);
+        }
         assert_eq!(npz.shaped("betas", &[3]).unwrap().f32(), model.betas);
         assert_eq!(npz.shaped("frames", &[n]).unwrap().data[1], model.frames[1] as f64);
         let times: Vec<f32> = model.frames.iter().map(|&f| (f - model.frames[0]) as f32 / 30.0).collect();

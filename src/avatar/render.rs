@@ -1,5 +1,5 @@
-//! Pictures of the avatar in any pose, from any camera, at any size; shaded from the hash texture, once for each surface that
-//! a pixel shows.
+//! Pictures of the avatar in any pose, from any camera, at any size; shaded from the hash texture: at each sample where that is much
+//! finer than the picture, else once for each surface that a pixel shows.
 
 use std::sync::{Arc, OnceLock};
 
@@ -70,6 +70,8 @@ pub struct RenderSpec {
     pub light: Light,
     /// Samples along a pixel's side, 1 to 8: coverage is their mean, and each surface counts by its samples.
     pub samples: u32,
+    /// `None`: as the texture asks for at this distance.
+    pub shading: Option<Shading>,
 }
 
 impl RenderSpec {
@@ -86,6 +88,7 @@ impl RenderSpec {
             background: Background::Transparent,
             light: Light::Captured,
             samples: 3,
+            shading: None,
         }
     }
 
@@ -139,13 +142,19 @@ pub struct Renderer {
     model: Arc<AvatarModel>,
     tracer: Tracer,
     texture: SurfaceTexture,
+    /// The side of the texture's finest cell on the surface, metres.
+    cell_m: f64,
 }
+
+/// The texture's cells along a pixel from which on a sample in its middle no longer stands for it.
+const CELLS_A_PIXEL: f64 = 3.0;
 
 impl Renderer {
     pub fn new(gpu: &Arc<Gpu>, model: &Arc<AvatarModel>) -> Result<Self, RenderError> {
         Ok(Self {
             tracer: Tracer::new(gpu, &model.body.faces, &model.body.v_template),
             texture: SurfaceTexture::new(gpu, model)?,
+            cell_m: finest_cell(model),
             gpu: gpu.clone(),
             model: model.clone(),
         })
@@ -174,6 +183,7 @@ impl Renderer {
     /// # Panics
     /// When `seen` is shorter than the faces.
     pub fn render_marking(&self, spec: &RenderSpec, seen: &mut [bool]) -> Result<RgbaImage, RenderError> {
+        let spec = &RenderSpec { shading: Some(Shading::Surfaces), ..spec.clone() };
         self.render_with(spec, |points| {
             points.iter().for_each(|point| seen[point.face as usize] = true);
             self.texture.colours(&self.gpu, points)
@@ -216,6 +226,7 @@ impl Renderer {
     /// The person's coverage of each pixel, 0 to 255, without shading. Waits.
     pub fn mask(&self, spec: &RenderSpec) -> Result<GrayImage, RenderError> {
         let posed = self.posed(spec)?;
+        let spec = &RenderSpec { shading: Some(Shading::Surfaces), ..spec.clone() };
         Ok(self.trace(spec, &posed, |points| Ok(vec![[0.0; 3]; points.len()]))?.coverage())
     }
 
@@ -234,8 +245,28 @@ impl Renderer {
         posed: &Posed<f32>,
         colour: impl FnMut(&[SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError>,
     ) -> Result<Picture, GpuError> {
-        self.tracer.trace(&posed.vertices, &spec.camera, spec.samples, Shading::Surfaces, colour)
+        let shading = spec.shading.unwrap_or_else(|| self.shading(&spec.camera, posed));
+        self.tracer.trace(&posed.vertices, &spec.camera, spec.samples, shading, colour)
     }
+
+    /// How often the texture must be asked for a picture of the person at the pelvis's distance.
+    fn shading(&self, camera: &Camera, posed: &Posed<f32>) -> Shading {
+        let pelvis = glam::DVec3::from_array(posed.joints[0].map(f64::from));
+        let distance = glam::DVec3::from_slice(&camera.rotation[6..]).dot(pelvis) + camera.translation[2];
+        let pixel_m = distance / camera.fx.max(camera.fy);
+        if pixel_m > CELLS_A_PIXEL * self.cell_m { Shading::Samples } else { Shading::Surfaces }
+    }
+}
+
+/// Metres: coordinates lie on the surface as the mean edge has them.
+fn finest_cell(model: &AvatarModel) -> f64 {
+    let vertices = model.rest_vertices();
+    let length = |of: &[[f32; 3]], [a, b]: [u32; 2]| {
+        f64::from(glam::Vec3::from(of[a as usize]).distance(glam::Vec3::from(of[b as usize])))
+    };
+    let sum = |of: &[[f32; 3]]| model.body.faces.iter().map(|&[a, b, _]| length(of, [a, b])).sum::<f64>();
+    let metres = sum(&vertices) / sum(&model.texcoords).max(f64::MIN_POSITIVE);
+    metres / model.texture_config.levels().last().map_or(1.0, |finest| finest.scale.max(1.0))
 }
 
 /// A posed body under the captured light.
@@ -276,6 +307,28 @@ mod tests {
 
     fn renderer(test: &str) -> Option<Renderer> {
         Some(Renderer::new(&gpu(test)?, &Arc::new(turning_avatar())).unwrap())
+    }
+
+    #[test]
+    fn the_texture_is_asked_as_often_as_a_picture_is_coarse() {
+        let Some(renderer) = renderer("render::the_texture_is_asked_as_often_as_a_picture_is_coarse") else { return };
+        let spec = RenderSpec::of_frame(renderer.model(), 0);
+        let picture = |scale: f64, shading: Option<Shading>| {
+            let side = |n: u32| (f64::from(n) * scale).round() as u32;
+            let camera = spec.camera.scaled(side(spec.camera.width), side(spec.camera.height));
+            renderer.render(&RenderSpec { camera, shading, ..spec.clone() }).unwrap()
+        };
+        let cells = {
+            let posed = renderer.posed(&spec).unwrap();
+            f64::from(posed.joints[0][2]) / spec.camera.fx / renderer.cell_m
+        };
+        for scale in [0.9 * cells / CELLS_A_PIXEL, 1.1 * cells / CELLS_A_PIXEL] {
+            let want = if scale < cells / CELLS_A_PIXEL { Shading::Samples } else { Shading::Surfaces };
+            let other = if want == Shading::Samples { Shading::Surfaces } else { Shading::Samples };
+            let ours = picture(scale, None);
+            assert_eq!(ours, picture(scale, Some(want)), "{scale}");
+            assert_ne!(ours, picture(scale, Some(other)), "{scale}");
+        }
     }
 
     #[test]

@@ -40,6 +40,7 @@ pub(crate) fn turning_avatar() -> AvatarModel {
         face_colours: vec![[0.5, 0.25, 0.75]; body.n_faces()],
         poses: poses.collect(),
         transl: (0..n).map(|i| [0.02 * i as f32, 0.1, 3.0]).collect(),
+        pelvis_moved: [0.01, -0.02, 0.03],
         frames: (0..n).map(|i| 2 * i).collect(),
         fps: 30.0,
         camera: camera(128),

@@ -48,6 +48,7 @@ impl PictureBench {
             face_colours: vec![[0.5; 3]; body.n_faces()],
             poses: vec![pose],
             transl: vec![transl],
+            pelvis_moved: [0.0; 3],
             frames: vec![0],
             fps: 30.0,
             camera,

@@ -30,7 +30,8 @@ pub(super) fn guess(width: u32, height: u32) -> Camera {
     }
 }
 
-pub(super) fn read(path: &Path) -> Result<Camera, CaptureError> {
+/// A camera's file, in all forms that are taken beside a clip.
+pub fn read(path: &Path) -> Result<Camera, CaptureError> {
     let mut text = Vec::new();
     let file = std::fs::File::open(path).map_err(|e| CaptureError::internal("cannot open the camera", e))?;
     let mut file = file.take(limits::CAMERA_BYTES + 1);

@@ -16,6 +16,7 @@ mod keypoint_formats;
 mod keypoints;
 mod lens;
 mod limits;
+mod masks;
 mod openpose;
 pub mod parsers;
 mod poses;
@@ -26,9 +27,11 @@ mod source;
 mod tests;
 mod video;
 
+pub use calibration::read as read_camera;
 pub use clip::{CaptureInputs, CaptureOptions, GoOn, Inspection, inspect};
 pub use confine::Confinement;
 pub use error::{BadInput, CaptureError, Part};
+pub use masks::masks;
 
 use crate::camera::Camera;
 

@@ -1,6 +1,7 @@
 //! Whole clips, good and bad, made on the spot. They need the system's FFmpeg.
 
 mod bad_input;
+mod masks;
 
 use std::io::{Cursor, Write};
 use std::path::PathBuf;
@@ -306,48 +307,6 @@ fn zips_of_images_in_the_order_of_their_numbers() {
     let error = clip.error();
     assert_eq!((error.part, error.frame), (Part::Video, None));
     assert_eq!(error.message, "no file in the zip can be used; it has `a/notes.txt`");
-}
-
-#[test]
-fn masks_as_a_video_and_as_cut_outs() {
-    let clip = Clip::new();
-    clip.masks(&encode((0..COUNT).map(mask), "gray", &["-c:v", "ffv1", "-f", "matroska"]));
-    assert_is_the_clip(&clip.load().unwrap(), 12);
-    let cut_out = |i| -> Vec<u8> { rgb(i).chunks(3).zip(mask(i)).flat_map(|(c, a)| [c[0], c[1], c[2], a]).collect() };
-    let cut_out = |i| png(&cut_out(i), WIDTH, HEIGHT, image::ExtendedColorType::Rgba8);
-    clip.masks(&zip((0..COUNT).map(|i| (format!("{i:04}.png"), cut_out(i)))));
-    assert_is_the_clip(&clip.load().unwrap(), 12);
-}
-
-#[test]
-fn masks_as_the_transparency_of_a_video() {
-    let encoders = Command::new("ffmpeg").args(["-v", "error", "-encoders"]).output().unwrap().stdout;
-    let encoders = String::from_utf8(encoders).unwrap();
-    // The person dark, the rest light and transparent: the wrong way round without the transparency.
-    let cut_out = |i| -> Vec<u8> {
-        let pixels = mask(i).into_iter();
-        pixels.flat_map(|a| if a == 0 { [230, 230, 230, 0] } else { [20, 20, 20, 255] }).collect()
-    };
-    let opaque = |i| -> Vec<u8> { mask(i).into_iter().flat_map(|v| [v, v, v, 255]).collect() };
-    #[rustfmt::skip]
-    let cases: [&[&str]; 4] = [
-        &["-c:v", "ffv1", "-pix_fmt", "yuva420p", "-f", "matroska"],
-        &["-c:v", "qtrle", "-pix_fmt", "argb", "-f", "mov"],
-        &["-c:v", "prores_ks", "-profile:v", "4444", "-pix_fmt", "yuva444p10le", "-f", "mov"],
-        &["-c:v", "libvpx-vp9", "-lossless", "1", "-pix_fmt", "yuva420p", "-f", "webm"],
-    ];
-    for arguments in cases {
-        if !encoders.contains(arguments[1]) {
-            eprintln!("{}: ignored, this FFmpeg cannot write it", arguments[1]);
-            continue;
-        }
-        for pictures in [&cut_out as &dyn Fn(usize) -> Vec<u8>, &opaque] {
-            let clip = Clip::new();
-            clip.masks(&encode((0..COUNT).map(pictures), "rgba", arguments));
-            eprintln!("{}", arguments[1]);
-            assert_is_the_clip(&clip.load().unwrap(), 12);
-        }
-    }
 }
 
 #[test]

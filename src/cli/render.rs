@@ -8,6 +8,7 @@ use effigy::avatar::{
     AvatarModel, Background, Light, Place, Pose, Quality, RenderSpec, Renderer, VideoError, VideoWriter,
 };
 use effigy::camera::Camera;
+use effigy::capture::read_camera;
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::npz::Npz;
 use glam::{Quat, Vec3};
@@ -74,6 +75,7 @@ pub fn run(args: Args) -> Result<()> {
             background: args.background,
             light: Light::Captured,
             samples: args.samples,
+            shading: None,
         })?;
         let path = args.out.join(format!("{name}.png"));
         image.save(&path).with_context(|| path.display().to_string())?;
@@ -91,10 +93,7 @@ pub fn run(args: Args) -> Result<()> {
 fn camera(args: &Args, model: &AvatarModel) -> Result<Camera> {
     let mut camera = match &args.camera {
         None => model.camera.clone(),
-        Some(path) => {
-            let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
-            serde_json::from_slice(&bytes).with_context(|| path.display().to_string())?
-        }
+        Some(path) => read_camera(path).with_context(|| path.display().to_string())?,
     };
     if let Some(size) = args.size {
         let scale = size as f64 / camera.width.max(camera.height) as f64;

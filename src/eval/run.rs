@@ -107,9 +107,14 @@ pub fn evaluate(
     // A picture that is compared in several ways warns once.
     warnings.sort();
     warnings.dedup();
-    report.warnings = warnings;
     progress("training masks");
-    report.mask_iou = training_masks(renderer, subject)?;
+    match training_masks(renderer, subject) {
+        Ok(scores) => report.mask_iou = scores,
+        // All else has been compared by then.
+        Err(EvalError::Subject(error)) => warnings.push(format!("the masks are not compared: {error}")),
+        Err(error) => return Err(error),
+    }
+    report.warnings = warnings;
     report.joints = joints(renderer.model(), &subject.joints);
     report.summarise();
     if let Some(out) = options.out {

@@ -8,7 +8,7 @@ use super::lpips::Lpips;
 use super::report::{ImageFigures, ImageScore};
 use super::run::EvalError;
 use super::subject::Novel;
-use crate::avatar::{Background, RenderSpec, Renderer};
+use crate::avatar::{Background, RenderSpec, Renderer, Shading};
 use crate::page::{heat_map, over, strip};
 
 /// Samples along a pixel's side of the compared pictures: the truth's are well antialiased.
@@ -27,8 +27,13 @@ pub(super) struct Shot {
 impl Shot {
     /// Draws `spec` before the novel picture's camera. Waits.
     pub fn draw(renderer: &Renderer, novel: &Novel, spec: RenderSpec) -> Result<Self, EvalError> {
-        let spec =
-            RenderSpec { camera: novel.camera.clone(), background: Background::Transparent, samples: SAMPLES, ..spec };
+        let spec = RenderSpec {
+            camera: novel.camera.clone(),
+            background: Background::Transparent,
+            samples: SAMPLES,
+            shading: Some(Shading::Samples),
+            ..spec
+        };
         let ours = renderer.render(&spec)?;
         let (truth, mask) = novel.open()?;
         if truth.dimensions() != ours.dimensions() || truth.width().min(truth.height()) < 11 {

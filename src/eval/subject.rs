@@ -1,7 +1,7 @@
 //! A folder of truth: `masks.zip`, `novel/novel.json` with its pictures, `truth/frame_*.ply` and
 //! `truth/joints3d.json`. What is absent is not evaluated.
 
-use std::io::{BufReader, Cursor, Read};
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use image::{GrayImage, RgbImage};
@@ -10,6 +10,7 @@ use super::shot::composited;
 use crate::avatar::Pose;
 use crate::avatar::ply::{self, Mesh, PlyError};
 use crate::camera::Camera;
+use crate::capture;
 
 /// Why the folder could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -70,8 +71,9 @@ pub struct Subject {
     pub surfaces: Vec<(u32, PathBuf)>,
     /// `[T][24]`, training camera, metres
     pub joints: Vec<Vec<[f64; 3]>>,
-    /// The zip of masks, one a frame of the video in the order of their names
-    masks: Option<Vec<u8>>,
+    /// The clip's masks and its camera
+    masks: Option<PathBuf>,
+    camera: Option<PathBuf>,
 }
 
 #[derive(serde::Deserialize)]
@@ -171,10 +173,8 @@ impl Subject {
             subject.surfaces.extend(number.map(|n| (n, entry.path())));
         }
         subject.surfaces.sort();
-        let masks = folder.join("masks.zip");
-        if masks.exists() {
-            subject.masks = Some(std::fs::read(&masks).map_err(|e| file_error(&masks)(&e))?);
-        }
+        let part = |name: &str| Some(folder.join(name)).filter(|path| path.exists());
+        (subject.masks, subject.camera) = (part("masks.zip"), part("camera.json"));
         Ok(subject)
     }
 
@@ -185,23 +185,9 @@ impl Subject {
         ply::read(BufReader::new(file)).map_err(|source| SubjectError::Ply { path: path.clone(), source })
     }
 
-    /// The masks of these frames of the video; `None` for a frame without one. Empty without masks.
+    /// The masks of these frames of the video, without the lens's distortion; `None` for a frame without one. Empty without masks.
     pub fn masks(&self, frames: &[u32]) -> Result<Vec<Option<GrayImage>>, SubjectError> {
-        let Some(bytes) = &self.masks else { return Ok(Vec::new()) };
-        let path = Path::new("masks.zip");
-        let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(|e| file_error(path)(&e))?;
-        let names = archive.file_names().map(|name| name.map(|n| n.into_owned()));
-        let mut names = names.collect::<Result<Vec<_>, _>>().map_err(|e| file_error(path)(&e))?;
-        names.retain(|n| [".png", ".jpg", ".jpeg"].iter().any(|e| n.to_lowercase().ends_with(e)));
-        names.sort();
-        let mut read = |frame: &u32| {
-            let Some(name) = names.get(*frame as usize) else { return Ok(None) };
-            let mut data = Vec::new();
-            let mut entry = archive.by_name(name).map_err(|e| file_error(path)(&e))?;
-            entry.read_to_end(&mut data).map_err(|e| file_error(path)(&e))?;
-            let mask = ::image::load_from_memory(&data).map_err(|e| file_error(path)(&e))?;
-            Ok(Some(mask.into_luma8()))
-        };
-        frames.iter().map(&mut read).collect()
+        let Some(path) = &self.masks else { return Ok(Vec::new()) };
+        capture::masks(path, self.camera.as_deref(), frames).map_err(|e| file_error(path)(&e))
     }
 }

@@ -16,10 +16,10 @@ const LIMBS: [usize; 12] = [1, 2, 4, 5, 7, 8, 16, 17, 18, 19, 20, 21];
 const JOINTS_OFF: f64 = 5e-3;
 
 /// Moves the pelvis joint of `body` to where it is expected, for a person of `betas`. Places `transl [N, 3]` follow, so that the body in
-/// `poses [N, 72]` stays where it is.
-pub fn settle(body: &mut Body, betas: &[f32], poses: &[f32], transl: &mut [f32]) {
+/// `poses [N, 72]` stays where it is. How far it has moved, metres in the T-pose.
+pub fn settle(body: &mut Body, betas: &[f32], poses: &[f32], transl: &mut [f32]) -> [f32; 3] {
     if body.n_betas == 0 {
-        return;
+        return [0.0; 3];
     }
     let found = joints(body, betas);
     let moved = middle(&found) + expected(body, &found) - found[0];
@@ -29,6 +29,7 @@ pub fn settle(body: &mut Body, betas: &[f32], poses: &[f32], transl: &mut [f32])
         let turn = Quat::from_scaled_axis(Vec3::from_slice(pose));
         *place = (Vec3::from(*place) + turn * moved - moved).to_array();
     }
+    moved.to_array()
 }
 
 fn joints(body: &Body, betas: &[f32]) -> Vec<Vec3> {

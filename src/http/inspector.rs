@@ -31,7 +31,8 @@ impl Inspector for ClipInspector {
             },
             error => InspectError::Internal(error.into()),
         })?;
-        Ok(Clip { frames: found.frames, width: found.width, height: found.height, fps: found.fps })
+        let capture::Inspection { frames, width, height, fps, warnings, .. } = found;
+        Ok(Clip { frames, width, height, fps, warnings })
     }
 }
 

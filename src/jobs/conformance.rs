@@ -26,7 +26,7 @@ pub fn new_job(env: &Env) -> NewJob {
         key: None,
         options: JobOptions::default(),
         inputs: BTreeMap::from([("video".to_string(), Part { bytes: 10 })]),
-        clip: Clip { frames: 5, width: 64, height: 48, fps: 30.0 },
+        clip: Clip { frames: 5, width: 64, height: 48, fps: 30.0, warnings: Vec::new() },
         remember: None,
     }
 }

@@ -82,6 +82,9 @@ pub struct Clip {
     pub height: u32,
     /// Frames a second.
     pub fps: f64,
+    /// What was odd about the upload and does not keep it from being fitted, for people.
+    #[serde(default)]
+    pub warnings: Vec<String>,
 }
 
 /// A job to be put into the queue; its inputs lie in the store already.

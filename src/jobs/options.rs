@@ -34,8 +34,7 @@ pub struct JobOptions {
     /// Name of the body model; the server's `bodies` folder holds them.
     #[schema(default = "default", pattern = "^[A-Za-z0-9_-]{1,64}$")]
     pub body: String,
-    /// Seed of everything random in the fit. The same inputs, options and device give the same avatar within a millimetre
-    /// or two: sums on the device are added in no fixed order.
+    /// Seed of everything random in the fit. The same program, inputs, options and device give the same avatar, bit by bit.
     #[schema(default = 0)]
     pub seed: u64,
     /// The person's height, metres. One camera cannot tell a small person near from a tall one far; absent, the mean

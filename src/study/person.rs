@@ -140,6 +140,7 @@ impl Person {
             light: state.light,
             poses: state.poses.as_chunks().0.to_vec(),
             transl: state.transl.as_chunks().0.to_vec(),
+            pelvis_moved: [0.0; 3],
             frames: self.capture.frames.iter().map(|f| f.index).collect(),
             fps: self.capture.fps,
             camera: fitted.camera.clone(),

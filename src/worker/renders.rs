@@ -107,6 +107,7 @@ impl Kept {
                 Light::None => avatar::Light::None,
             },
             samples: SAMPLES,
+            shading: None,
         })
     }
 

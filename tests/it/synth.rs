@@ -36,6 +36,7 @@ fn truth_avatar(folder: &Path) -> AvatarModel {
         face_colours: vec![[0.5; 3]; body.n_faces()],
         frames: (0..poses.len() as u32).collect(),
         transl: trans.into_iter().map(|t| minus(t, pelvis)).collect(),
+        pelvis_moved: [0.0; 3],
         poses,
         fps: 30.0,
         camera,

@@ -11,7 +11,7 @@ fn avatar() -> Avatar {
     Avatar {
         id: uuid::Uuid::nil(),
         epoch: 1,
-        clip: Clip { frames: 5, width: 64, height: 48, fps: 30.0 },
+        clip: Clip { frames: 5, width: 64, height: 48, fps: 30.0, warnings: Vec::new() },
         body: "test".into(),
         frames: 2,
         camera: serde_json::from_value::<Camera>(camera).unwrap(),

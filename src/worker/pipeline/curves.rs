@@ -1,5 +1,5 @@
-//! The losses of a job over its steps. They lie beside the checkpoint, so that a job that goes on from there shows them from the
-//! beginning; the fit itself does not need them.
+//! The losses of a job over its steps, and the time that its stages took. They lie beside the checkpoint, so that a job that goes on
+//! from there shows them from the beginning; the fit itself does not need them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,10 +14,22 @@ pub(super) struct Point {
     pub losses: BTreeMap<String, f64>,
 }
 
+/// Seconds that each stage took.
+pub(super) type StageSecs = BTreeMap<String, f64>;
+
+/// The file.
+#[derive(Default, serde::Serialize, serde::Deserialize)]
+struct Kept {
+    points: Vec<Point>,
+    secs: StageSecs,
+}
+
 #[derive(Debug)]
 pub(super) struct Curves {
     file: PathBuf,
     points: Vec<Point>,
+    /// Of attempts before this one.
+    secs_before: StageSecs,
     /// Until they are loaded what lies in the file stays.
     loaded: bool,
 }
@@ -25,7 +37,7 @@ pub(super) struct Curves {
 impl Curves {
     /// None so far; `work_dir` holds the checkpoints.
     pub fn new(work_dir: &Path) -> Self {
-        Self { file: work_dir.join("losses.json"), points: Vec::new(), loaded: false }
+        Self { file: work_dir.join("losses.json"), points: Vec::new(), secs_before: StageSecs::new(), loaded: false }
     }
 
     pub fn points(&self) -> &[Point] {
@@ -35,7 +47,15 @@ impl Curves {
     /// Goes on with what was saved.
     pub fn load(&mut self) {
         let saved = std::fs::read(&self.file).ok().and_then(|json| serde_json::from_slice(&json).ok());
-        (self.points, self.loaded) = (saved.unwrap_or_default(), true);
+        let saved: Kept = saved.unwrap_or_default();
+        (self.points, self.secs_before, self.loaded) = (saved.points, saved.secs, true);
+    }
+
+    /// The time of all attempts, of which this one has taken `secs`.
+    pub fn whole(&self, secs: &StageSecs) -> StageSecs {
+        let mut whole = self.secs_before.clone();
+        secs.iter().for_each(|(stage, secs)| *whole.entry(stage.clone()).or_default() += secs);
+        whole
     }
 
     /// Forgets what comes after a step, since it will come again: the file may be ahead of the checkpoint, or of an earlier fit.
@@ -47,12 +67,13 @@ impl Curves {
         self.points.push(Point { stage, step, losses: losses.clone() });
     }
 
-    /// A report with shorter curves is worth more than none: what goes wrong is logged.
-    pub fn save(&self) {
+    /// With the `secs` of this attempt. A report with shorter curves is worth more than none: what goes wrong is logged.
+    pub fn save(&self, secs: &StageSecs) {
         if !self.loaded {
             return;
         }
-        let json = serde_json::to_vec(&self.points).expect("numbers and names");
+        let kept = Kept { points: self.points.clone(), secs: self.whole(secs) };
+        let json = serde_json::to_vec(&kept).expect("numbers and names");
         if let Err(error) = crate::storage::write_atomic(&self.file, &json) {
             tracing::warn!(%error, "the losses are not kept");
         }

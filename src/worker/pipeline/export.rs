@@ -25,6 +25,8 @@ use crate::quality::FrameMeasures;
 /// All that a fit knows at its end.
 pub(super) struct Fitted {
     pub body: Body,
+    /// By `fit::pelvis`.
+    pub pelvis_moved: [f32; 3],
     pub capture: Capture,
     /// Of the clip as it came.
     pub measures: Vec<FrameMeasures>,
@@ -98,6 +100,7 @@ fn model_of(fitted: &Fitted, frames: &[u32]) -> AvatarModel {
         face_colours: state.face_colours.as_chunks().0.to_vec(),
         poses: state.poses.as_chunks().0.to_vec(),
         transl: state.transl.as_chunks().0.to_vec(),
+        pelvis_moved: fitted.pelvis_moved,
         frames: frames.to_vec(),
         fps: fitted.capture.fps,
         camera: fitted.start.camera.clone(),
@@ -115,7 +118,8 @@ fn report(
     let n = scores.len().max(1) as f64;
     let mean = |value: fn(&FrameScore) -> f64| scores.iter().map(value).sum::<f64>() / n;
     let peak_process = peak_process_bytes();
-    let total: f64 = monitor.secs.values().sum();
+    let secs = monitor.whole_secs();
+    let total: f64 = secs.values().sum();
     let gigabyte = 1e9;
     let per_frame: Vec<_> =
         scores.iter().map(|s| json!({ "frame": s.frame, "mask_iou": s.iou, "psnr": s.psnr })).collect();
@@ -129,7 +133,7 @@ fn report(
             "secs": total,
             "peak_device_bytes": gpu.peak_bytes(),
         },
-        "secs": monitor.secs,
+        "secs": secs,
         "device": gpu.info(),
         "memory": {
             "peak_process_bytes": peak_process,

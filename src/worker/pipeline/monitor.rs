@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
-use super::curves::Curves;
+use super::curves::{Curves, StageSecs};
 use super::preview::Previews;
 use super::{Observer, PipelineError, Preview, Progress, Stage, StopReason};
 use crate::body::Body;
@@ -38,15 +38,13 @@ fn shares(preset: Preset) -> Shares {
     ]
 }
 
-/// Seconds that each stage took.
-pub(super) type StageSecs = BTreeMap<&'static str, f64>;
-
 /// Turns steps of stages into the progress of the whole, and asks whether to go on.
 pub(super) struct Monitor<'a> {
     gpu: &'a Arc<Gpu>,
     observer: &'a mut dyn Observer,
     pub(super) stopped: Option<StopReason>,
-    pub(super) secs: StageSecs,
+    /// Of this attempt.
+    secs: StageSecs,
     pub(super) curves: Curves,
     pub(super) draws_curves: bool,
     stage: Stage,
@@ -115,8 +113,20 @@ impl<'a> Monitor<'a> {
     }
 
     pub(super) fn end(&mut self) {
-        *self.secs.entry(self.stage.name()).or_default() += self.stage_started.elapsed().as_secs_f64();
+        self.secs = self.spent();
         self.stage_started = Instant::now();
+    }
+
+    /// Seconds by stage in this attempt, with what the current stage has taken so far.
+    fn spent(&self) -> StageSecs {
+        let mut secs = self.secs.clone();
+        *secs.entry(self.stage.name().to_owned()).or_default() += self.stage_started.elapsed().as_secs_f64();
+        secs
+    }
+
+    /// Seconds by stage in all attempts, as far as stages have ended.
+    pub(super) fn whole_secs(&self) -> StageSecs {
+        self.curves.whole(&self.secs)
     }
 
     fn enter(&mut self, stage: Stage) {
@@ -148,7 +158,7 @@ impl<'a> Monitor<'a> {
 
     /// The texture's stage goes on with another checkpoint; its steps are counted on.
     pub(super) fn go_on_with(&mut self, checkpoint: &Path, steps_before: u32) {
-        self.curves.save();
+        self.curves.save(&self.spent());
         self.steps_before = steps_before;
         (self.checkpoint, self.saved) = (checkpoint.into(), written(checkpoint));
     }
@@ -163,11 +173,11 @@ impl<'a> Monitor<'a> {
         let saved = written(&self.checkpoint);
         if saved != self.saved {
             self.saved = saved;
-            self.curves.save();
+            self.curves.save(&self.spent());
             self.observer.saved(self.progress);
         }
         if self.stopped.is_some() {
-            self.curves.save();
+            self.curves.save(&self.spent());
         }
         self.stopped.is_none()
     }

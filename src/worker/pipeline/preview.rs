@@ -54,6 +54,7 @@ impl Previews {
             face_colours: Vec::new(),
             poses: Vec::new(),
             transl: Vec::new(),
+            pelvis_moved: [0.0; 3],
             frames: vec![frame.index],
             fps: capture.fps,
             camera: camera.clone(),

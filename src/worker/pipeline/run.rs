@@ -6,6 +6,7 @@ use std::sync::Arc;
 use anyhow::anyhow;
 
 use super::curves::Curves;
+use super::made_by::begin_anew_for_others;
 use super::monitor::Monitor;
 use super::{Observer, Outcome, PipelineError, PipelineInput, Stage, StopReason, export};
 use crate::body::Body;
@@ -33,7 +34,9 @@ pub fn run(
     let mut monitor = Monitor::new(gpu, observer, input.options.preset, &checkpoint, Curves::new(work_dir));
     let mut config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
-    let mut body = load_body(data_dir, &input.options.body)?;
+    let body_file = data_dir.join("bodies").join(format!("{}.body.npz", input.options.body));
+    begin_anew_for_others(work_dir, &body_file, &input.options).map_err(anyhow::Error::from)?;
+    let mut body = load_body(&body_file, &input.options.body)?;
     let mut capture = load_capture(input, &mut monitor)?;
     // Of the detections as they were given: what follows reads them anew.
     let measures = quality::measure(&capture);
@@ -102,10 +105,12 @@ pub fn run(
         state = Detail::end(state, ended.map_err(|e| from_fit(e, monitor.stopped))?);
         config.field = detail.config.field;
     }
+    let mut pelvis_moved = [0.0; 3];
     if capture.poses.is_none() {
-        pelvis::settle(&mut body, &state.betas, &state.poses, &mut state.transl);
+        pelvis_moved = pelvis::settle(&mut body, &state.betas, &state.poses, &mut state.transl);
     }
-    let done = export::Fitted { body, capture, measures, focal, start, state, covered, skirt, detail, config };
+    let done =
+        export::Fitted { body, pelvis_moved, capture, measures, focal, start, state, covered, skirt, detail, config };
     export::export(gpu, &done, input, out_dir, &mut monitor)
 }
 
@@ -167,12 +172,11 @@ fn config_of(options: &JobOptions) -> FitConfig {
     }
 }
 
-fn load_body(data_dir: &Path, name: &str) -> Result<Body, PipelineError> {
+fn load_body(path: &Path, name: &str) -> Result<Body, PipelineError> {
     if name == "test" {
         return Ok(Body::test_body());
     }
-    let path = data_dir.join("bodies").join(format!("{name}.body.npz"));
-    Body::load(&path).map_err(|e| {
+    Body::load(path).map_err(|e| {
         PipelineError::Internal(anyhow!("body {name:?}: {e}; `effigy body import` makes {}", path.display()))
     })
 }

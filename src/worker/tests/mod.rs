@@ -84,7 +84,7 @@ impl Bench {
         part.finish().await.unwrap();
         self.store.commit_upload(upload, id).unwrap();
         let inputs = BTreeMap::from([("video".to_string(), Part { bytes: 4 })]);
-        let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0 };
+        let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0, warnings: Vec::new() };
         self.queue.insert(NewJob { id, key: None, options, inputs, clip, remember: None }).await.unwrap();
         id
     }

@@ -185,7 +185,7 @@ impl Bench {
         let id = self.env.new_id();
         std::fs::create_dir_all(self.store.inputs(id)).unwrap();
         let inputs = BTreeMap::from([("video".to_string(), Part { bytes: 4 })]);
-        let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0 };
+        let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0, warnings: Vec::new() };
         let new = NewJob { id, key, options: JobOptions::default(), inputs, clip, remember: None };
         self.queue.insert(new).await.unwrap().queued().unwrap();
         id

@@ -100,7 +100,7 @@ async fn the_avatar_is_seen_while_it_emerges() {
         let bytes = std::fs::copy(path, bench.store.inputs(id).join(name)).unwrap();
         (name.to_string(), Part { bytes })
     });
-    let clip = Clip { frames: 12, width: 96, height: 96, fps: 30.0 };
+    let clip = Clip { frames: 12, width: 96, height: 96, fps: 30.0, warnings: Vec::new() };
     let options = JobOptions { max_frames: Some(4), ..input.options.clone() };
     let new = NewJob { id, key: None, options, inputs: inputs.collect(), clip, remember: None };
     bench.queue.insert(new).await.unwrap().queued().unwrap();

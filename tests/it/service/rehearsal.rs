@@ -159,7 +159,7 @@ impl Bench {
         std::fs::create_dir_all(self.store.inputs(id)).unwrap();
         std::fs::write(self.store.inputs(id).join("video"), serde_json::to_vec(script).unwrap()).unwrap();
         let inputs = BTreeMap::from([("video".to_string(), Part { bytes: 4 })]);
-        let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0 };
+        let clip = Clip { frames: 5, width: 64, height: 48, fps: 30.0, warnings: Vec::new() };
         let new = NewJob { id, key: None, options, inputs, clip, remember: None };
         self.queue.insert(new).await.unwrap().queued().unwrap();
         id

@@ -25,6 +25,7 @@ fn model() -> AvatarModel {
         face_colours: vec![[0.5; 3]; body.n_faces()],
         poses: vec![upright; 2],
         transl: vec![[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]],
+        pelvis_moved: [0.0; 3],
         frames: vec![0, 3],
         fps: 30.0,
         camera: Camera::pinhole(64, 64, [90.0, 90.0, 32.0, 32.0]),
@@ -38,7 +39,7 @@ async fn publish(data: &std::path::Path) -> String {
     let env = Env::system();
     let queue = SqliteQueue::open(&store.database(), env.clone(), Policy::default()).await.unwrap();
     let id = env.new_id();
-    let clip = Clip { frames: 6, width: 64, height: 64, fps: 30.0 };
+    let clip = Clip { frames: 6, width: 64, height: 64, fps: 30.0, warnings: Vec::new() };
     let options = JobOptions::default();
     let new = NewJob { id, key: None, options, inputs: BTreeMap::new(), clip, remember: None };
     queue.insert(new).await.unwrap();
