@@ -181,8 +181,7 @@ impl VideoFile {
         let passthrough = passthrough_option()?;
         let mut filters = "settb=1,setpts=N".to_owned();
         if let Some(frames) = some {
-            let numbers: Vec<String> = frames.iter().map(|n| format!("eq(n,{n})")).collect();
-            filters = format!("{filters},select='{}'", numbers.join("+"));
+            filters = format!("{filters},select='{}'", is_one_of(frames));
         }
         if let Some(colours) = self.hdr.as_ref().filter(|_| pixels == Pixels::Rgb && !fast) {
             filters = format!("{filters},{}", colours.to_srgb());
@@ -207,6 +206,19 @@ impl VideoFile {
         let running = Some(Tool::start("ffmpeg", &arguments, Some(&self.path), deadline)?);
         let announced = if some.is_some() { None } else { self.announced };
         Ok(VideoStream { part: self.part, running, announced, layout, count: 0, damage: None })
+    }
+}
+
+/// FFmpeg's expression for a frame with one of these numbers. FFmpeg takes chains of a hundred sums and no longer ones, but nests them
+/// as deeply as this.
+fn is_one_of(frames: &[usize]) -> String {
+    match frames {
+        [] => "0".to_owned(),
+        [n] => format!("eq(n,{n})"),
+        _ => {
+            let (first, second) = frames.split_at(frames.len() / 2);
+            format!("({}+{})", is_one_of(first), is_one_of(second))
+        }
     }
 }
 

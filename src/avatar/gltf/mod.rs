@@ -1,5 +1,5 @@
-//! The avatar as a glTF 2.0 binary: a skinned mesh in the T-pose with 24 named joints, an unlit texture and the
-//! captured motion. Pose blend shapes are not exported: glTF has no counterpart for them.
+//! The avatar as a glTF 2.0 binary: a skinned mesh in the T-pose with 24 named joints, the albedo in an unlit
+//! material and the captured motion. Pose blend shapes are not exported: glTF has no counterpart for them.
 //!
 //! glTF's world has +Y up and the person faces +Z, standing on y = 0. A capture's world is OpenCV's camera (y down), so
 //! the motion is turned by 180° about x and moved so that the feet are near the ground and the path is centred; the

@@ -27,12 +27,13 @@ pub(super) struct UploadForm {
     /// HDR (HLG or PQ) is brought to sRGB.
     #[schema(value_type = String, format = Binary)]
     video: Vec<u8>,
-    /// Who is the person: a video or a zip of PNG or JPEG, one for each frame; 128 and above is foreground.
+    /// Who is the person: a video or a zip of PNG or JPEG, one for each frame; 128 and above is foreground. Where there is transparency,
+    /// it is the mask. `ffmpeg -i video -fps_mode passthrough frames/%05d.png` takes a video apart frame by frame.
     /// Frames without anybody are left out, if they are no more than half.
     #[schema(value_type = String, format = Binary)]
     masks: Vec<u8>,
     /// 2D keypoints in the video's pixels: `{"format": "coco17", "frames": [[[x, y, confidence] × 17] × N]}`, or a zip of
-    /// OpenPose's JSON files, one for each frame. Confidence 0 = not seen; a frame where nobody was found is `[]`. Other formats:
+    /// OpenPose's JSON files, one for each frame. Confidence 0 or the place (0, 0) = not seen; a frame where nobody was found is `[]`. Other formats:
     /// `coco18` and `body25` (OpenPose), `mediapipe33`, `halpe26`, `wholebody133`. Send points in their own format: where MediaPipe
     /// sees joints is known.
     #[schema(value_type = String, format = Binary)]
