@@ -153,7 +153,13 @@ fn serve(mut engine: impl Engine, inbox: &Receiver<Task>) {
     while let Ok(task) = inbox.recv() {
         match task {
             Task::Fit { task, control, done } => {
-                let mut observer = FitObserver { control, inbox, draughtsman: Draughtsman::default(), stage: None };
+                let mut observer = FitObserver {
+                    control,
+                    inbox,
+                    draughtsman: Draughtsman::default(),
+                    stage: None,
+                    fits_since: Instant::now(),
+                };
                 let run = catch_unwind(AssertUnwindSafe(|| engine.fit(&task, &mut observer)));
                 observer.end_stage();
                 // Nobody may be waiting any more; the end is the same.
@@ -182,6 +188,8 @@ struct FitObserver<'a> {
     inbox: &'a Receiver<Task>,
     draughtsman: Draughtsman,
     stage: Option<(&'static str, Instant, Span)>,
+    /// When the fit had the device back from the renders.
+    fits_since: Instant,
 }
 
 impl FitObserver<'_> {
@@ -224,19 +232,116 @@ impl Observer for FitObserver<'_> {
         self.control.stop_reason()
     }
 
+    /// As long as the fit has had the device, renders may have it, and one of them always: whatever takes long, and however
+    /// many clients there are, neither side starves the other.
     fn idle(&mut self, gpu: &Arc<Gpu>) {
-        while let Ok(task) = self.inbox.try_recv() {
-            match task {
-                Task::Draw(drawing) => {
-                    answer_with(*drawing, |request, to| self.draughtsman.draw(gpu, request, to));
-                    // Many pictures take long, and none of them is the fit's fault.
-                    self.control.is_alive();
-                }
-                // The claim loop gives one job at a time.
-                Task::Fit { done, .. } => {
-                    let _ = done.send(Err(PipelineError::Internal(anyhow::anyhow!("the device is taken"))));
-                }
+        let share = self.fits_since.elapsed();
+        draw_waiting(self.inbox, &self.control, share, |request, to| self.draughtsman.draw(gpu, request, to));
+        self.fits_since = Instant::now();
+    }
+}
+
+/// Draws what waits, in order, until `share` has passed. A fit that is to stop hears of it first: its checkpoint has little
+/// time, and what still waits then is drawn after it.
+fn draw_waiting(
+    inbox: &Receiver<Task>,
+    control: &Control,
+    share: Duration,
+    mut draw: impl FnMut(&RenderRequest, &Path) -> Result<(), RenderError>,
+) {
+    let since = Instant::now();
+    while control.stop_reason().is_none()
+        && let Ok(task) = inbox.try_recv()
+    {
+        match task {
+            Task::Draw(drawing) => {
+                answer_with(*drawing, &mut draw);
+                // Many pictures take long, and none of them is the fit's fault.
+                control.is_alive();
+            }
+            // The claim loop gives one job at a time.
+            Task::Fit { done, .. } => {
+                let _ = done.send(Err(PipelineError::Internal(anyhow::anyhow!("the device is taken"))));
             }
         }
+        if since.elapsed() >= share {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::jobs::render::What;
+
+    /// Clients that want pictures, and the numbers of those that were drawn.
+    struct Clients {
+        tasks: Sender<Task>,
+        inbox: Receiver<Task>,
+        drawn: Arc<Mutex<Vec<u32>>>,
+    }
+
+    impl Clients {
+        fn new() -> Clients {
+            let (tasks, inbox) = channel();
+            Clients { tasks, inbox, drawn: Arc::default() }
+        }
+
+        fn ask(&self, number: u32) {
+            let request = RenderRequest { model: "avatar".into(), what: What::Mesh { frame: number } };
+            let drawn = self.drawn.clone();
+            let answer: Answer = Box::new(move |result| {
+                result.unwrap();
+                drawn.lock().unwrap().push(number);
+            });
+            self.tasks.send(Task::Draw(Box::new(Drawing { request, to: "picture".into(), answer }))).unwrap();
+        }
+
+        fn drawn(&self) -> Vec<u32> {
+            self.drawn.lock().unwrap().clone()
+        }
+    }
+
+    #[test]
+    fn clients_that_always_want_pictures_do_not_keep_the_fit_from_the_device() {
+        let clients = Clients::new();
+        let control = Control::default();
+        clients.ask(0);
+        for steps in 1..=20 {
+            let mut asked = 0;
+            // The next one comes while one is drawn; a fit that waits for all of them waits for a hundred.
+            draw_waiting(&clients.inbox, &control, Duration::ZERO, |_, _| {
+                asked += 1;
+                if asked < 100 {
+                    clients.ask(steps);
+                }
+                Ok(())
+            });
+            assert_eq!(clients.drawn().len(), steps as usize, "one a step, in the end each of them");
+        }
+        assert!(clients.drawn().is_sorted());
+    }
+
+    #[test]
+    fn a_share_is_used_for_all_that_waits() {
+        let clients = Clients::new();
+        (0..5).for_each(|number| clients.ask(number));
+        draw_waiting(&clients.inbox, &Control::default(), Duration::MAX, |_, _| Ok(()));
+        assert_eq!(clients.drawn(), [0, 1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn a_fit_that_is_to_stop_does_not_wait_for_pictures() {
+        let clients = Clients::new();
+        let control = Control::default();
+        (0..3).for_each(|number| clients.ask(number));
+        draw_waiting(&clients.inbox, &control, Duration::MAX, |_, _| {
+            control.stop(StopReason::Shutdown);
+            Ok(())
+        });
+        draw_waiting(&clients.inbox, &control, Duration::MAX, |_, _| Ok(()));
+        assert_eq!(clients.drawn(), [0], "the others are the thread's, after the fit");
+        assert_eq!(clients.inbox.try_iter().count(), 2);
     }
 }
