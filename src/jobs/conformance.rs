@@ -527,6 +527,16 @@ pub async fn the_list_pages_from_new_to_old(b: Bench) {
     assert_eq!(ranged(Some(middle), None).await, [ids[2], ids[1]]);
     assert_eq!(ranged(None, Some(middle)).await, [ids[0]]);
     assert!(ranged(Some(middle), Some(middle)).await.is_empty());
+    let all = ListFilter {
+        state: Some(State::Canceled),
+        before: Some(ids[2]),
+        created_from: Some(middle),
+        created_before: Some(middle.plus(Duration::from_millis(1))),
+        key: None,
+        limit: 10,
+    };
+    assert_eq!(b.queue.list(all.clone()).await.unwrap().into_iter().map(|job| job.id).collect::<Vec<_>>(), [ids[1]]);
+    assert!(b.queue.list(ListFilter { key: Some(Uuid::nil()), ..all }).await.unwrap().is_empty());
 }
 
 pub async fn stage_times_add_up(b: Bench) {

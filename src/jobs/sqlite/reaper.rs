@@ -6,6 +6,9 @@ use super::super::{Job, JobError, QueueError, Reaped, Repeat};
 use super::rows::{self, add_state_event, select_jobs};
 use super::{SqliteQueue, Tx};
 
+/// Asked in every round.
+pub(super) const OWNERS: &str = "SELECT DISTINCT owner FROM jobs WHERE owner IS NOT NULL";
+
 impl SqliteQueue {
     pub(super) async fn reap_all(&self) -> Result<Reaped, QueueError> {
         self.settle().await?;
@@ -43,9 +46,7 @@ impl SqliteQueue {
     }
 
     pub(super) async fn lease_owners(&self) -> Result<Vec<String>, QueueError> {
-        Ok(sqlx::query_scalar("SELECT DISTINCT owner FROM jobs WHERE owner IS NOT NULL")
-            .fetch_all(&self.readers)
-            .await?)
+        Ok(sqlx::query_scalar(OWNERS).fetch_all(&self.readers).await?)
     }
 
     pub(super) async fn release_all_of(&self, owner: &str) -> Result<Vec<Uuid>, QueueError> {

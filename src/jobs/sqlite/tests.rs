@@ -91,3 +91,36 @@ async fn readers_never_wait_for_a_writer() {
     bench.queue.counts().await.unwrap();
     transaction.rollback().await.unwrap();
 }
+
+/// How SQLite will go about a statement, step by step.
+async fn plan(queue: &SqliteQueue, statement: &str) -> Vec<String> {
+    use sqlx::Row;
+    let explained = sqlx::query(sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {statement}")));
+    let steps = explained.fetch_all(&queue.writer).await.unwrap();
+    steps.iter().map(|step| step.get("detail")).collect()
+}
+
+/// None of these becomes slower with the history of jobs and messages: each looks at the rows of an index that it is about.
+#[tokio::test]
+async fn what_is_asked_often_does_not_read_the_history() {
+    let folder = tempfile::tempdir().unwrap();
+    let queue = SqliteQueue::open(&folder.path().join("effigy.db"), Env::system(), Policy::default()).await.unwrap();
+    let (key, before) = (Some(uuid::Uuid::nil()), Some(uuid::Uuid::nil()));
+    let list = |filter: ListFilter| super::api::list(&filter).sql().as_str().to_string();
+    for (statement, step) in [
+        (super::reaper::OWNERS.to_string(), "COVERING INDEX jobs_held"),
+        (super::worker::WAITING.to_string(), "SEARCH r USING COVERING INDEX jobs_held (key_id=?"),
+        (super::worker::CLAIM.to_string(), "SEARCH r USING COVERING INDEX jobs_held (key_id=?"),
+        (super::webhooks::FORGET.to_string(), "INDEX deliveries_over (created_at<?)"),
+        (list(ListFilter { key, ..ListFilter::default() }), "SEARCH j USING INDEX jobs_of_key (key_id=?)"),
+        (list(ListFilter { key, before, ..ListFilter::default() }), "INDEX jobs_of_key (key_id=? AND id<?)"),
+        (list(ListFilter { before, ..ListFilter::default() }), "SEARCH j USING INDEX sqlite_autoindex_jobs_1 (id<?)"),
+    ] {
+        let plan = plan(&queue, &statement).await;
+        assert!(plan.iter().any(|found| found.contains(step)), "{statement}: {plan:#?}");
+        // The held ones' own index may be read whole.
+        let reads_all =
+            |step: &&String| step.starts_with("SCAN") && !step.contains("jobs_held") && *step != "SCAN CONSTANT ROW";
+        assert_eq!(plan.iter().find(reads_all), None, "{statement}");
+    }
+}

@@ -12,6 +12,9 @@ use super::super::webhooks::{
 use super::super::{Job, QueueError, State, Timestamp};
 use super::{SqliteQueue, rows};
 
+/// Part of every attempt.
+pub(super) const FORGET: &str = "DELETE FROM deliveries WHERE next_at IS NULL AND created_at < ?";
+
 type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
 
 /// Writes the messages about a job that has just come to its state. Webhooks of a revoked key hear nothing.
@@ -174,10 +177,7 @@ impl SqliteQueue {
         .bind(id)
         .execute(&mut *tx)
         .await?;
-        sqlx::query("DELETE FROM deliveries WHERE next_at IS NULL AND created_at < ?")
-            .bind(now.0.saturating_sub(KEPT.as_millis() as i64))
-            .execute(&mut *tx)
-            .await?;
+        sqlx::query(FORGET).bind(now.0.saturating_sub(KEPT.as_millis() as i64)).execute(&mut *tx).await?;
         tx.commit().await?;
         Ok(())
     }

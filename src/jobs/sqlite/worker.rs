@@ -23,30 +23,30 @@ macro_rules! claimable {
     };
 }
 
+pub(super) const WAITING: &str = concat!("SELECT EXISTS (SELECT 1 ", claimable!("?1"), ")");
+pub(super) const CLAIM: &str = concat!(
+    "UPDATE jobs SET state = 'running', epoch = epoch + 1, attempt = attempt + 1, owner = ?1, lease_until = ?2, \
+     saved_at_claim = saved, started_at = COALESCE(started_at, ?3), updated_at = ?3, version = version + 1 \
+     WHERE id = (SELECT id ",
+    claimable!("?3"),
+    " ORDER BY priority DESC, id LIMIT 1) RETURNING id, epoch"
+);
+
 impl SqliteQueue {
     pub(super) async fn claim_job(&self, owner: &str) -> Result<Option<(Lease, Job)>, QueueError> {
         // An idle worker looks often: the look must not take the writer's lock.
-        let waiting: bool = sqlx::query_scalar(concat!("SELECT EXISTS (SELECT 1 ", claimable!("?1"), ")"))
-            .bind(self.env.now().0)
-            .fetch_one(&self.readers)
-            .await?;
+        let waiting: bool = sqlx::query_scalar(WAITING).bind(self.env.now().0).fetch_one(&self.readers).await?;
         if !waiting {
             return Ok(None);
         }
         let mut tx = self.write().await?;
         let now = self.env.now();
-        let claimed = sqlx::query(concat!(
-            "UPDATE jobs SET state = 'running', epoch = epoch + 1, attempt = attempt + 1, owner = ?1, lease_until = ?2, \
-             saved_at_claim = saved, started_at = COALESCE(started_at, ?3), updated_at = ?3, version = version + 1 \
-             WHERE id = (SELECT id ",
-            claimable!("?3"),
-            " ORDER BY priority DESC, id LIMIT 1) RETURNING id, epoch"
-        ))
-        .bind(owner)
-        .bind(now.plus(self.policy.lease).0)
-        .bind(now.0)
-        .fetch_optional(&mut *tx)
-        .await?;
+        let claimed = sqlx::query(CLAIM)
+            .bind(owner)
+            .bind(now.plus(self.policy.lease).0)
+            .bind(now.0)
+            .fetch_optional(&mut *tx)
+            .await?;
         let Some(claimed) = claimed else { return Ok(None) };
         let lease = Lease { job: rows::id(&claimed, "id")?, epoch: claimed.try_get("epoch")? };
         let job = rows::read(&mut tx, lease.job).await?.ok_or(sqlx::Error::RowNotFound)?;
