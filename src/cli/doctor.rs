@@ -147,8 +147,10 @@ fn disk(data: &Path) -> Check {
         Ok(free) => {
             let found = format!("{:.1} GiB free in {}", free as f64 / (1u64 << 30) as f64, data.display());
             if free < LITTLE_SPACE {
-                let mend =
-                    format!("make room or set retain_days; below {} uploads may not fit", Bytes(LITTLE_SPACE).text());
+                let mend = format!(
+                    "make room, or set retain_days and start the service anew; below {} uploads may not fit",
+                    Bytes(LITTLE_SPACE).text()
+                );
                 return Check::warning("disk", found, mend);
             }
             Check::ok("disk", found)

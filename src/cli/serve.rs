@@ -37,6 +37,10 @@ async fn serve(in_force: InForce) -> Result<()> {
     };
     let env = Env::system();
     let queue = open_queue(&store, &env, policy(config)).await?;
+    match queue.apply_retention().await? {
+        0 => {}
+        jobs => tracing::info!(jobs, "retain_days has changed: what has ended is kept by it"),
+    }
     clean(&store, queue.as_ref()).await?;
     store.load_ballast().context("keeping a little room for deletions")?;
     let reaper = tokio::spawn(Reaper { queue: queue.clone(), store: store.clone() }.run());

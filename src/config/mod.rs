@@ -91,7 +91,8 @@ settings! {
     serve max_open_upload_bytes: Bytes = "32GiB";
     /// A resumable upload is removed when nothing has come for so many seconds.
     serve upload_ttl_secs: u32 = "86400";
-    /// Remove a job's files so many days after its end; without it they stay.
+    /// Remove a job's files so many days after its end, also where it ended before the server started with this; without it
+    /// they stay.
     both retain_days: Option<u32> = "";
     /// A fit that shows no step for so many seconds hangs: its attempt ends, and the worker's process is started anew;
     /// so is one that answers no render for a minute longer.

@@ -142,7 +142,7 @@ impl SqliteQueue {
             _ => Ok(()),
         };
         let changed = sqlx::query(
-            "UPDATE jobs SET state = 'queued', attempt = 0, excused = 0, saved = 0, run_at = ?1, error = NULL, finished_at = NULL, \
+            "UPDATE jobs SET state = 'queued', attempt = 0, excused = 0, saved = 0, run_at = ?1, error = NULL, finished_at = NULL, leapt_ms = 0, \
              deadline_at = ?1 + 1000 * json_extract(options, '$.deadline_secs'), expires_at = NULL, cancel_requested_at = NULL, updated_at = ?1, version = version + 1 \
              WHERE id = ?2 AND state IN ('failed', 'canceled') AND delete_requested_at IS NULL",
         )

@@ -72,8 +72,8 @@ async fn move_what_is_to_come(tx: &mut Tx, leap_ms: i64) -> Result<(), QueueErro
     for statement in [
         "UPDATE jobs SET lease_until = lease_until + ?1, run_at = run_at + ?1, deadline_at = deadline_at + ?1, \
          version = version + 1 WHERE finished_at IS NULL",
-        "UPDATE jobs SET expires_at = expires_at + ?1, version = version + 1 \
-         WHERE expires_at IS NOT NULL AND state != 'expired'",
+        "UPDATE jobs SET expires_at = expires_at + ?1, leapt_ms = leapt_ms + ?1, version = version + 1 \
+         WHERE finished_at IS NOT NULL AND state != 'expired'",
         "UPDATE idempotency_keys SET created_at = created_at + ?1",
         "UPDATE deliveries SET next_at = next_at + ?1 WHERE next_at IS NOT NULL",
     ] {

@@ -10,6 +10,23 @@ use super::{SqliteQueue, Tx};
 pub(super) const OWNERS: &str = "SELECT DISTINCT owner FROM jobs WHERE owner IS NOT NULL";
 
 impl SqliteQueue {
+    /// Has the policy's retention apply to jobs that ended under another one, or none: how many. What has expired stays so.
+    pub async fn apply_retention(&self) -> Result<u64, QueueError> {
+        let mut tx = self.write().await?;
+        // Without a retention the sum is NULL, and so becomes the end.
+        let changed = sqlx::query(
+            "UPDATE jobs SET expires_at = finished_at + leapt_ms + ?1, updated_at = ?2, version = version + 1 \
+             WHERE finished_at IS NOT NULL AND state != 'expired' AND expires_at IS NOT finished_at + leapt_ms + ?1",
+        )
+        .bind(self.policy.retention.map(|keep| keep.as_millis() as i64))
+        .bind(self.env.now().0)
+        .execute(&mut *tx)
+        .await?
+        .rows_affected();
+        tx.commit().await?;
+        Ok(changed)
+    }
+
     pub(super) async fn reap_all(&self) -> Result<Reaped, QueueError> {
         self.settle().await?;
         let now = self.env.now().0;

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::super::conformance::{Bench, new_job, suite};
-use super::super::{Env, ListFilter, ManualClock, Policy, Queue, Timestamp};
+use super::super::conformance::{Bench, avatar, new_job, suite};
+use super::super::{Env, ListFilter, ManualClock, Policy, Queue, State, Timestamp};
 use super::SqliteQueue;
 
 pub(super) async fn open() -> Bench {
@@ -122,5 +122,82 @@ async fn what_is_asked_often_does_not_read_the_history() {
         let reads_all =
             |step: &&String| step.starts_with("SCAN") && !step.contains("jobs_held") && *step != "SCAN CONSTANT ROW";
         assert_eq!(plan.iter().find(reads_all), None, "{statement}");
+    }
+}
+
+#[tokio::test]
+async fn another_retention_applies_to_what_has_ended() {
+    let folder = tempfile::tempdir().unwrap();
+    let clock = ManualClock::new(Timestamp(1_700_000_000_000));
+    let env = Env::new(clock.clone(), 7);
+    let day = Duration::from_secs(86_400);
+    // As a server that starts with this setting.
+    let start = async |days: Option<u32>| {
+        let policy = Policy { retention: days.map(|days| day * days), ..Policy::default() };
+        let queue = SqliteQueue::open(&folder.path().join("effigy.db"), env.clone(), policy).await.unwrap();
+        let changed = queue.apply_retention().await.unwrap();
+        (queue, changed)
+    };
+    let (queue, _) = start(None).await;
+    let mut ended = Vec::new();
+    for _ in 0..3 {
+        queue.insert(new_job(&env)).await.unwrap();
+        let (lease, _) = queue.claim("w").await.unwrap().unwrap();
+        queue.succeed(&lease, avatar()).await.unwrap();
+        ended.push(lease.job);
+        clock.advance(day * 10);
+    }
+    let open = queue.insert(new_job(&env)).await.unwrap().queued().unwrap();
+    let [old, middle, young] = ended[..] else { unreachable!() };
+    let before = queue.get(young).await.unwrap().unwrap();
+    assert_eq!((before.state, before.expires_at), (State::Succeeded, None));
+
+    let (queue, changed) = start(Some(25)).await;
+    assert_eq!(changed, 3);
+    let job = queue.get(young).await.unwrap().unwrap();
+    assert_eq!((job.expires_at, job.version), (Some(before.finished_at.unwrap().plus(day * 25)), before.version + 1));
+    assert_eq!(queue.reap().await.unwrap().expired, [old]);
+    assert_eq!(start(Some(25)).await.1, 0, "what is right stays as it is");
+
+    // Shorter, longer, none; what has expired is left alone.
+    assert_eq!(start(Some(15)).await.0.reap().await.unwrap().expired, [middle]);
+    let (queue, changed) = start(Some(40)).await;
+    assert_eq!(changed, 1);
+    let expires_at = queue.get(young).await.unwrap().unwrap().expires_at;
+    assert_eq!(expires_at, Some(before.finished_at.unwrap().plus(day * 40)));
+    let (queue, changed) = start(None).await;
+    assert_eq!((changed, queue.get(young).await.unwrap().unwrap().expires_at), (1, None));
+    clock.advance(day * 100);
+    assert!(queue.reap().await.unwrap().expired.is_empty());
+    let open = queue.get(open.id).await.unwrap().unwrap();
+    assert_eq!((open.state, open.expires_at, open.version), (State::Queued, None, 1));
+}
+
+#[tokio::test]
+async fn another_retention_minds_leaps_of_the_clock() {
+    let folder = tempfile::tempdir().unwrap();
+    // A machine that learns the time after a job has ended.
+    let clock = ManualClock::new(Timestamp(0));
+    let env = Env::new(clock.clone(), 7);
+    let day = Duration::from_secs(86_400);
+    let start = async |days: Option<u32>| {
+        let policy = Policy { retention: days.map(|days| day * days), ..Policy::default() };
+        let queue = SqliteQueue::open(&folder.path().join("effigy.db"), env.clone(), policy).await.unwrap();
+        queue.apply_retention().await.unwrap();
+        queue
+    };
+    for before in [None, Some(10)] {
+        let queue = start(before).await;
+        queue.insert(new_job(&env)).await.unwrap();
+        let (lease, _) = queue.claim("w").await.unwrap().unwrap();
+        queue.succeed(&lease, avatar()).await.unwrap();
+        let end = env.now();
+        clock.leap(day * 20_000, true);
+        assert!(start(Some(5)).await.reap().await.unwrap().expired.is_empty());
+        let job = start(Some(5)).await.get(lease.job).await.unwrap().unwrap();
+        assert_eq!(job.expires_at, Some(end.plus(day * 20_005)), "it has five days from now");
+        clock.advance(day * 5);
+        assert_eq!(start(Some(5)).await.reap().await.unwrap().expired, [lease.job]);
+        clock.leap(day * 20_005, false);
     }
 }
