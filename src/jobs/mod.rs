@@ -4,7 +4,7 @@
 //! database; [`sqlite`] implements it. Time and chance come in through [`Env`], so that tests own both.
 
 #[cfg(test)]
-mod conformance;
+pub(crate) mod conformance;
 mod env;
 mod job;
 pub mod keys;

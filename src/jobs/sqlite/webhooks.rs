@@ -7,7 +7,7 @@ use sqlx::{Row, SqliteConnection};
 use uuid::Uuid;
 
 use super::super::webhooks::{
-    Attempt, Delivery, Due, KEPT, MOST_OF_A_KEY, NewWebhook, SCHEDULE, TOLD, Webhook, Webhooks, event_type,
+    Attempt, Delivery, Due, KEPT, MOST_OF_A_KEY, NewWebhook, Places, SCHEDULE, TOLD, Webhook, Webhooks, event_type,
 };
 use super::super::{Job, QueueError, State, Timestamp};
 use super::{SqliteQueue, rows};
@@ -108,23 +108,27 @@ impl SqliteQueue {
         found.iter().map(delivery).collect()
     }
 
-    async fn due_now(&self, limit: u32, of_one: u32) -> Result<Vec<Due>, QueueError> {
+    async fn due_now(&self, places: Places) -> Result<Vec<Due>, QueueError> {
         let found = sqlx::query(
-            "SELECT id, payload, attempts, url, secret FROM ( \
-               SELECT d.id, d.payload, d.attempts, w.url, w.secret, d.next_at, d.rowid AS row, \
-               row_number() OVER (PARTITION BY d.webhook_id ORDER BY d.next_at, d.rowid) AS turn \
-               FROM deliveries d JOIN webhooks w ON w.id = d.webhook_id \
-               WHERE d.next_at <= ? AND w.disabled_at IS NULL \
-             ) WHERE turn <= ? ORDER BY turn, next_at, row LIMIT ?",
+            "SELECT id, key_id, payload, attempts, url, secret FROM ( \
+               SELECT *, row_number() OVER (PARTITION BY key_id ORDER BY turn, next_at, row) AS turn_of_key FROM ( \
+                 SELECT d.id, w.key_id, d.payload, d.attempts, w.url, w.secret, d.next_at, d.rowid AS row, \
+                 row_number() OVER (PARTITION BY d.webhook_id ORDER BY d.next_at, d.rowid) AS turn \
+                 FROM deliveries d JOIN webhooks w ON w.id = d.webhook_id \
+                 WHERE d.next_at <= ? AND w.disabled_at IS NULL \
+               ) WHERE turn <= ? \
+             ) WHERE turn_of_key <= ? ORDER BY turn_of_key, next_at, row LIMIT ?",
         )
         .bind(self.env.now().0)
-        .bind(of_one)
-        .bind(limit)
+        .bind(places.of_webhook)
+        .bind(places.of_key)
+        .bind(places.all)
         .fetch_all(&self.readers)
         .await?;
         let due = found.iter().map(|row| {
             Ok(Due {
                 id: row.try_get("id")?,
+                key: rows::optional_id(row, "key_id")?,
                 url: row.try_get("url")?,
                 secret: row.try_get("secret")?,
                 payload: row.try_get("payload")?,
@@ -228,8 +232,8 @@ impl Webhooks for SqliteQueue {
         Box::pin(self.deliveries_of(webhook, limit))
     }
 
-    fn due(&self, limit: u32, of_one: u32) -> Answer<'_, Vec<Due>> {
-        Box::pin(self.due_now(limit, of_one))
+    fn due(&self, places: Places) -> Answer<'_, Vec<Due>> {
+        Box::pin(self.due_now(places))
     }
 
     fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> Answer<'a, ()> {

@@ -76,10 +76,20 @@ pub struct Delivery {
 #[derive(Clone, Debug)]
 pub struct Due {
     pub id: String,
+    /// Whose webhook it is for.
+    pub key: Option<Uuid>,
     pub url: String,
     pub secret: Vec<u8>,
     pub payload: String,
     pub attempts: u32,
+}
+
+/// How many messages may be on their way at the same time: in all, those of one key among them, those of one webhook.
+#[derive(Clone, Copy, Debug)]
+pub struct Places {
+    pub all: u32,
+    pub of_key: u32,
+    pub of_webhook: u32,
 }
 
 /// What came of an attempt.
@@ -102,8 +112,9 @@ pub trait Webhooks: Send + Sync + 'static {
     fn delete_webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, bool>;
     /// The newest first.
     fn deliveries(&self, webhook: Uuid, limit: u32) -> Answer<'_, Vec<Delivery>>;
-    /// What is to be sent now: of each webhook no more than `of_one`, each webhook's longest due before any other's second.
-    fn due(&self, limit: u32, of_one: u32) -> Answer<'_, Vec<Due>>;
+    /// What is to be sent now, no more than there are places. Keys take turns, and so do the webhooks of each, which send
+    /// what is longest due first. Webhooks that belong to no key count as those of one.
+    fn due(&self, places: Places) -> Answer<'_, Vec<Due>>;
     /// Writes what came of an attempt: over, or due again by [`SCHEDULE`]. 410 disables the webhook, and nothing more of it
     /// waits.
     fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> Answer<'a, ()>;
