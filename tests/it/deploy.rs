@@ -109,6 +109,16 @@ fn the_compose_file_is_yaml_of_what_the_dockerfile_makes() {
     }
 }
 
+/// Each of these, alone, makes systemd (some before 252) a list of the devices that the unit may open: no GPU is on it.
+#[test]
+fn the_unit_keeps_the_graphics_device() {
+    let unit = text("effigy.service");
+    let takes = ["PrivateDevices=", "DevicePolicy=", "DeviceAllow=", "ProtectClock="];
+    let found: Vec<_> = unit.lines().filter(|line| takes.iter().any(|name| line.starts_with(name))).collect();
+    assert!(found.is_empty(), "{found:?}");
+    assert!(unit.contains("SupplementaryGroups=video render"));
+}
+
 #[test]
 fn the_unit_is_one_that_systemd_takes() {
     if !is_there("systemd-analyze") {
@@ -128,6 +138,8 @@ fn the_unit_is_one_that_systemd_takes() {
 #[test]
 fn the_proxy_is_one_that_nginx_takes() {
     let conf = text("nginx.conf");
+    let idle = conf.lines().find_map(|line| line.trim().strip_prefix("keepalive_timeout ")?.strip_suffix("s;"));
+    assert!(idle.unwrap().parse::<u32>().unwrap() < 15, "the server ends idle connections after 15 s, and first");
     assert!(conf.contains("proxy_buffering off") && conf.contains("proxy_request_buffering off"));
     if !is_there("nginx") || !is_there("openssl") {
         return;
