@@ -40,9 +40,9 @@ impl Exporter {
 
 impl Drop for Exporter {
     fn drop(&mut self) {
-        // A thread that is gone or overwhelmed has nothing to say any more.
-        let _ = self.sink.try_send(Message::End);
-        if let Some(thread) = self.thread.take() {
+        // A thread that is overwhelmed does not hear of the end, and would be waited for in vain: it goes with the process.
+        let told = self.sink.try_send(Message::End).is_ok();
+        if told && let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
     }
@@ -87,4 +87,23 @@ fn send(client: &reqwest::blocking::Client, url: &reqwest::Url, role: &str, span
     let scope = json!({ "scope": { "name": "effigy" }, "spans": spans });
     let body = json!({ "resourceSpans": [{ "resource": resource, "scopeSpans": [scope] }] });
     client.post(url.clone()).json(&body).send()?.error_for_status().map(drop)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_end_does_not_wait_for_a_thread_that_was_not_told() {
+        let (sink, source) = sync_channel(1);
+        sink.send(Message::End).unwrap();
+        let (release, held) = std::sync::mpsc::channel::<()>();
+        let thread = std::thread::spawn(move || {
+            // Busy with a request.
+            let _ = held.recv();
+            drop(source);
+        });
+        drop(Exporter { sink, thread: Some(thread) });
+        release.send(()).expect("it is still busy");
+    }
 }
