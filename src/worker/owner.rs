@@ -21,9 +21,14 @@ impl Owner {
     pub fn new(folder: &Path, id: Uuid) -> io::Result<Owner> {
         let id = id.to_string();
         let path = lock_path(folder, &id);
-        let lock = File::create_new(&path)?;
-        lock.lock()?;
-        Ok(Owner { id, path, _lock: lock })
+        loop {
+            let lock = File::create_new(&path)?;
+            lock.lock()?;
+            // Somebody may have taken the file for a dead worker's before it was locked.
+            if path.exists() {
+                return Ok(Owner { id, path, _lock: lock });
+            }
+        }
     }
 
     pub fn id(&self) -> &str {
@@ -40,14 +45,26 @@ impl Owner {
             Err(error) => return Err(error),
         };
         match file.try_lock() {
-            Ok(()) => {
-                fs::remove_file(&path)?;
-                Ok(true)
-            }
+            Ok(()) => match fs::remove_file(&path) {
+                // A worker that ended in this moment removes its own.
+                Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+                _ => Ok(true),
+            },
             Err(TryLockError::WouldBlock) => Ok(false),
             Err(TryLockError::Error(error)) => Err(error),
         }
     }
+}
+
+/// Removes the locks of workers that are gone, also of those that died without a job.
+pub fn sweep(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let name = entry?.file_name();
+        if let Some(id) = name.to_str().and_then(|name| name.strip_suffix(".lock")) {
+            Owner::is_dead(folder, id)?;
+        }
+    }
+    Ok(())
 }
 
 impl Drop for Owner {

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use uuid::Uuid;
 
-use super::owner::Owner;
+use super::owner::{self, Owner};
 use crate::jobs::{Queue, QueueError};
 use crate::storage::Store;
 
@@ -38,6 +38,9 @@ impl Reaper {
                 Ok(false) => {}
                 Err(error) => tracing::warn!(owner, %error, "cannot tell whether the worker lives"),
             }
+        }
+        if let Err(error) = owner::sweep(&self.store.workers()) {
+            tracing::warn!(%error, "locks of dead workers stay");
         }
         let reaped = self.queue.reap().await?;
         for job in &reaped.reclaimed {

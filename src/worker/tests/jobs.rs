@@ -214,6 +214,20 @@ async fn only_the_dead_lose_their_leases_at_once() {
 }
 
 #[tokio::test]
+async fn locks_go_with_their_workers_also_without_a_job() {
+    let bench = Bench::new().await;
+    let folder = bench.store.workers();
+    let alive = Owner::new(&folder, Uuid::new_v4()).unwrap();
+    // As a killed worker leaves it.
+    fs::write(folder.join(format!("{}.lock", Uuid::new_v4())), []).unwrap();
+    let reaper = Reaper { queue: bench.queue.clone(), store: bench.store.clone() };
+    reaper.round().await.unwrap();
+    let left: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(left, [format!("{}.lock", alive.id()).as_str()]);
+    assert!(!Owner::is_dead(&folder, alive.id()).unwrap());
+}
+
+#[tokio::test]
 async fn a_fit_that_hangs_ends_its_attempt_and_its_process() {
     let bench = Bench::new().await;
     let id = bench.add().await;
