@@ -30,6 +30,19 @@ async fn the_figures_tell_waits_failures_and_what_is_undelivered() {
     }
 }
 
+#[tokio::test]
+async fn methods_that_clients_make_up_share_a_figure() {
+    let bench = Bench::new().await;
+    for method in ["WALK", "RUN"] {
+        let method = Method::from_bytes(method.as_bytes()).unwrap();
+        bench.call(method, "/healthz", &[], Body::empty()).await.problem(405);
+    }
+    let text = String::from_utf8(bench.get("/metrics").await.body).unwrap();
+    assert!(!text.contains("WALK") && !text.contains("RUN"), "{text}");
+    let series = "effigy_http_requests_total{method=\"other\",route=\"/healthz\",status=\"405\"} ";
+    assert_eq!(text.lines().filter(|line| line.starts_with(series)).count(), 1, "{text}");
+}
+
 /// In a process of its own: figures are a process's.
 #[tokio::test(flavor = "multi_thread")]
 async fn failures_are_counted_until_their_jobs_are_gone() {
