@@ -3,7 +3,7 @@
 use std::sync::{Mutex, OnceLock, PoisonError};
 
 use axum::body::Body;
-use axum::extract::{FromRequest, Multipart, Request};
+use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
 
 use super::app::Limits;
@@ -25,7 +25,7 @@ pub fn form(bytes: &[u8]) {
     let request = request.body(Body::from(bytes.to_vec())).expect("a request");
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
     runtime.block_on(async {
-        let form = Multipart::from_request(request, &()).await.expect("the header is a form's");
+        let form = jobs::Form::of(request).await.expect("the header is a form's");
         let limits = Limits { upload_bytes: 1 << 20, ..Limits::default() };
         drop(jobs::receive(form, store, &limits, true, &Lateness::default()).await);
     });

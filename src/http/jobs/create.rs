@@ -4,12 +4,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::to_bytes;
-use axum::extract::multipart::MultipartRejection;
-use axum::extract::{FromRequest, Multipart, Request, State};
+use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use uuid::Uuid;
 
+use super::form::Form;
 use super::upload::{JobOfUploads, Received, UploadForm, receive, receive_json};
 use super::view::JobView;
 use crate::http::access::{BytesLeft, Caller};
@@ -109,11 +109,7 @@ async fn read(app: &App, request: Request, limits: &Limits, hash: bool) -> Resul
         let json = to_bytes(request.into_body(), JSON_LIMIT_BYTES).await.map_err(too_much)?;
         return receive_json(&json, &app.store).await;
     }
-    let form = Multipart::from_request(request, app).await.map_err(|e| match e {
-        MultipartRejection::InvalidBoundary(e) => ApiError::MediaType(e.body_text()),
-        other => ApiError::MediaType(other.body_text()),
-    })?;
-    receive(form, &app.store, limits, hash, &lateness).await
+    receive(Form::of(request).await?, &app.store, limits, hash, &lateness).await
 }
 
 /// The files are the job's now.

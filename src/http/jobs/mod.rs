@@ -2,6 +2,7 @@
 
 mod create;
 mod events;
+mod form;
 mod list;
 mod one;
 mod preview;
@@ -13,6 +14,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::App;
+pub(super) use form::Form;
 pub(super) use upload::receive;
 
 pub(super) fn router() -> OpenApiRouter<App> {

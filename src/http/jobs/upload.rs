@@ -3,13 +3,12 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use axum::extract::Multipart;
-use axum::extract::multipart::{Field, MultipartError};
 use serde::Deserialize;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 use uuid::Uuid;
 
+use super::form::{Form, FormPart};
 use crate::http::access::Caller;
 use crate::http::app::{App, Limits, UploadedFiles};
 use crate::http::error::ApiError;
@@ -119,7 +118,7 @@ const DISCARD: Duration = Duration::from_secs(5);
 
 /// With `hash`, the parts are hashed on their way.
 pub(in crate::http) async fn receive(
-    mut form: Multipart,
+    mut form: Form,
     store: &Store,
     limits: &Limits,
     hash: bool,
@@ -130,22 +129,21 @@ pub(in crate::http) async fn receive(
         return Err(ApiError::TooSlow);
     }
     if received.is_err() {
-        let rest = async { while let Ok(Some(_)) = form.next_field().await {} };
         // Whoever sends for longer finds the connection closed.
-        let _ = tokio::time::timeout(DISCARD, rest).await;
+        let _ = tokio::time::timeout(DISCARD, form.discard()).await;
     }
     received
 }
 
-async fn receive_parts(form: &mut Multipart, store: &Store, limits: &Limits, hash: bool) -> Result<Received, ApiError> {
+async fn receive_parts(form: &mut Form, store: &Store, limits: &Limits, hash: bool) -> Result<Received, ApiError> {
     let mut hashes = BTreeMap::new();
     let upload = store.begin_upload()?;
     let mut inputs = BTreeMap::new();
     let mut options = None;
     let mut references: Option<BTreeMap<String, Uuid>> = None;
     let mut budget = Budget { whole: limits.upload_bytes, left: limits.upload_bytes };
-    while let Some(field) = form.next_field().await.map_err(form_error)? {
-        let name = field.name().unwrap_or("").to_string();
+    while let Some(part) = form.next_part().await? {
+        let name = part.name().to_string();
         if inputs.contains_key(&name)
             || (name == OPTIONS && options.is_some())
             || (name == UPLOADS && references.is_some())
@@ -153,12 +151,12 @@ async fn receive_parts(form: &mut Multipart, store: &Store, limits: &Limits, has
             return Err(wrong_part(format!("the part {name:?} came twice"), &name));
         }
         if name == OPTIONS {
-            let json = read_small(field, &mut budget).await?;
+            let json = read_small(part, &mut budget).await?;
             options = Some(JobOptions::parse(&json)?);
             continue;
         }
         if name == UPLOADS {
-            let json = read_small(field, &mut budget).await?;
+            let json = read_small(part, &mut budget).await?;
             references = Some(parse_json(&json, UPLOADS)?);
             continue;
         }
@@ -166,7 +164,7 @@ async fn receive_parts(form: &mut Multipart, store: &Store, limits: &Limits, has
             return Err(wrong_part(format!("there is no part {name:?}"), &name));
         };
         let mut hasher = hash.then(Sha256::new);
-        let bytes = write_part(field, &upload, kind, &mut budget, hasher.as_mut()).await?;
+        let bytes = write_part(part, &upload, kind, &mut budget, hasher.as_mut()).await?;
         if let Some(hasher) = hasher {
             hashes.insert(name.clone(), hex(&hasher.finalize()));
         }
@@ -286,14 +284,14 @@ impl Budget {
 }
 
 async fn write_part(
-    mut field: Field<'_>,
+    mut part: FormPart<'_>,
     upload: &Upload,
     kind: &Kind,
     budget: &mut Budget,
     mut hasher: Option<&mut Sha256>,
 ) -> Result<u64, ApiError> {
     let mut file = upload.part(kind.name).await?;
-    while let Some(chunk) = field.chunk().await.map_err(form_error)? {
+    while let Some(chunk) = part.chunk().await? {
         budget.take(&chunk, kind.name, file.bytes() + chunk.len() as u64, kind.limit_bytes)?;
         if let Some(hasher) = &mut hasher {
             hasher.update(&chunk);
@@ -303,9 +301,9 @@ async fn write_part(
     Ok(file.finish().await?)
 }
 
-async fn read_small(mut field: Field<'_>, budget: &mut Budget) -> Result<Vec<u8>, ApiError> {
+async fn read_small(mut part: FormPart<'_>, budget: &mut Budget) -> Result<Vec<u8>, ApiError> {
     let mut content = Vec::new();
-    while let Some(chunk) = field.chunk().await.map_err(form_error)? {
+    while let Some(chunk) = part.chunk().await? {
         budget.take(&chunk, OPTIONS, (content.len() + chunk.len()) as u64, OPTIONS_LIMIT_BYTES)?;
         content.extend_from_slice(&chunk);
     }
@@ -318,10 +316,4 @@ fn hex(bytes: &[u8]) -> String {
 
 fn wrong_part(detail: String, part: &str) -> ApiError {
     ApiError::Malformed { detail, part: Some(part.into()), expected: Some(EXPECTED_PARTS.into()) }
-}
-
-/// The body ended early or is no multipart.
-fn form_error(error: MultipartError) -> ApiError {
-    let expected = Some("a complete multipart/form-data body".into());
-    ApiError::Malformed { detail: error.body_text(), part: None, expected }
 }

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-use super::process::Serve;
+use super::process::{Serve, Zeros};
 use super::*;
 
 pub fn start(data: &std::path::Path) -> (Serve, reqwest::blocking::Client) {
@@ -113,6 +113,25 @@ fn bombs_are_refused_quickly_and_in_little_memory() {
         assert!(secs < 2.0, "{part}: {secs} s");
         assert!(peak < 512, "{part}: {peak} MB");
     }
+    assert_eq!(std::fs::read_dir(data.path().join("tmp")).unwrap().count(), 0);
+}
+
+#[test]
+fn a_form_that_comes_to_no_part_is_refused_in_little_memory() {
+    const BYTES: u64 = 64 << 20;
+    let data = tempfile::tempdir().unwrap();
+    let (serve, client) = start(data.path());
+    assert!(client.get(format!("{}/healthz", serve.url)).send().unwrap().status().is_success());
+    let before = serve.peak_bytes();
+    for start in ["", "--effigy-test-boundary\r\nx-long: "] {
+        let body = reqwest::blocking::Body::new(std::io::Read::chain(start.as_bytes(), Zeros(BYTES)));
+        let post = client.post(format!("{}/v1/jobs", serve.url)).header("content-type", Form::TYPE).body(body);
+        let problem: Value = post.send().unwrap().json().unwrap();
+        assert_eq!(problem["type"], "urn:effigy:problem:malformed-request", "{problem}");
+        assert!(problem["detail"].as_str().unwrap().starts_with("no part"), "{problem}");
+    }
+    let grown = serve.peak_bytes() - before;
+    assert!(grown < 32 << 20, "grew by {grown} bytes");
     assert_eq!(std::fs::read_dir(data.path().join("tmp")).unwrap().count(), 0);
 }
 

@@ -243,7 +243,7 @@ fn a_start_after_a_kill_keeps_jobs_and_removes_what_is_half_written() {
 }
 
 /// Zeros as a part of a form, without holding them.
-struct Zeros(u64);
+pub struct Zeros(pub u64);
 
 impl Read for Zeros {
     fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
