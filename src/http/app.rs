@@ -52,6 +52,8 @@ pub struct Limits {
     pub upload_ttl: Duration,
     /// The slowest that a body may come.
     pub pace: Pace,
+    /// A client that takes nothing of its answer for so long is cut off.
+    pub patience: Duration,
 }
 
 /// One request at a time for each client's key.
@@ -78,6 +80,7 @@ impl Default for Limits {
             open_upload_bytes: 32 << 30,
             upload_ttl: Duration::from_secs(24 * 3600),
             pace: Pace::default(),
+            patience: Duration::from_secs(60),
         }
     }
 }

@@ -18,6 +18,7 @@ pub mod openapi;
 mod pace;
 mod page;
 pub mod parsers;
+mod patience;
 mod renders;
 mod server;
 mod uploads;

@@ -15,6 +15,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::App;
 use super::app::Feed;
+use super::patience::Patient;
 
 /// How long open answers may take after the wish to stop. Uploads that take longer are cut; their clients see it.
 const DRAIN: Duration = Duration::from_secs(10);
@@ -32,7 +33,7 @@ pub async fn serve(listener: TcpListener, app: App, stop: impl Future<Output = (
     let feed = tokio::spawn(watch_events(app.clone()));
     let sweep = tokio::spawn(super::uploads::sweep(app.clone()));
     let upkeep = tokio::spawn(super::metrics::upkeep());
-    let closing = app.feed.clone();
+    let (closing, patience) = (app.feed.clone(), app.limits.patience);
     let service = TowerToHyperService::new(super::router(app));
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(HEAD);
@@ -43,7 +44,8 @@ pub async fn serve(listener: TcpListener, app: App, stop: impl Future<Output = (
             accepted = accept(&listener, &slots) => accepted,
             () = &mut stop => break,
         };
-        let connection = connections.watch(http.serve_connection(TokioIo::new(stream), service.clone()));
+        let stream = TokioIo::new(Patient::new(stream, patience));
+        let connection = connections.watch(http.serve_connection(stream, service.clone()));
         tokio::spawn(async move {
             let _slot = slot;
             // A client that goes away in the middle is its own affair.

@@ -135,6 +135,39 @@ fn a_form_that_comes_to_no_part_is_refused_in_little_memory() {
     assert_eq!(std::fs::read_dir(data.path().join("tmp")).unwrap().count(), 0);
 }
 
+/// Whoever asks for much and reads nothing of it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_does_not_read_is_cut() {
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    // More than the system keeps for a connection.
+    const BYTES: usize = 64 << 20;
+    let bench = Bench::with_limits(Limits { patience: Duration::from_millis(100), ..Limits::default() }).await;
+    let id = bench.publish(&[("avatar.glb", &vec![0; BYTES])]).await;
+    let is_open = || {
+        let open = std::fs::read_dir("/proc/self/fd").unwrap();
+        let mut open = open.filter_map(|file| std::fs::read_link(file.unwrap().path()).ok());
+        open.any(|file| file.starts_with(bench.store.root()) && file.ends_with("avatar.glb"))
+    };
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let serve = tokio::spawn(effigy::http::serve(listener, bench.app.clone(), async { stopped.await.unwrap_or(()) }));
+    let mut client = tokio::net::TcpStream::connect(address).await.unwrap();
+    let request = format!("GET /v1/avatars/{id}/avatar.glb HTTP/1.1\r\nhost: localhost\r\n\r\n");
+    client.write_all(request.as_bytes()).await.unwrap();
+    client.readable().await.unwrap();
+    let begun = Instant::now();
+    while is_open() {
+        assert!(begun.elapsed() < Duration::from_secs(60), "the file is still being sent");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let mut came = Vec::new();
+    let _ = client.read_to_end(&mut came).await;
+    assert!(came.starts_with(b"HTTP/1.1 200 OK") && came.len() < BYTES, "{} bytes", came.len());
+    drop(stop);
+    serve.await.unwrap().unwrap();
+}
+
 /// A GIF of a million frames, each a pixel: 23 MB that a decoder is quick with.
 fn million_frames() -> Vec<u8> {
     let mut gif = b"GIF89a\x10\0\x10\0\x80\0\0\0\0\0\xff\xff\xff".to_vec();
