@@ -15,7 +15,7 @@ use super::extract::{ApiQuery, parse_id, unknown};
 use super::files::published;
 use super::renders::answer;
 use crate::camera::Camera;
-use crate::jobs::render::{RenderRequest, What};
+use crate::jobs::render::What;
 use crate::jobs::{Avatar, Clip};
 
 /// The result of a job.
@@ -110,8 +110,7 @@ pub(super) async fn mesh(
     };
     let avatar = find(&app, &id).await?;
     check_frame(&avatar, frame)?;
-    let request = RenderRequest { model: model(&app, &avatar), what: What::Mesh { frame } };
-    let ply = answer(&app, request).await?;
+    let ply = answer(&app, avatar, What::Mesh { frame }).await?;
     let described = [
         (header::CONTENT_TYPE, "application/octet-stream".to_string()),
         (header::CONTENT_DISPOSITION, format!("attachment; filename=\"mesh_{frame:04}.ply\"")),

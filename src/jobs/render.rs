@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use futures_util::future::BoxFuture;
 use serde::{Deserialize, Serialize};
+use tempfile::TempPath;
 
 use crate::camera::Camera;
 
@@ -94,8 +95,8 @@ pub enum RenderError {
 
 /// Makes renders, somewhere else.
 pub trait Renderer: Send + Sync + 'static {
-    /// The file of the answer (PNG or PLY); it is the caller's, who removes it.
-    fn render(&self, request: RenderRequest) -> BoxFuture<'_, Result<PathBuf, RenderError>>;
+    /// The file of the answer (PNG or PLY), which goes with whoever waits for it.
+    fn render(&self, request: RenderRequest) -> BoxFuture<'_, Result<TempPath, RenderError>>;
 
     /// None when renders can be had; else why not.
     fn trouble(&self) -> Option<String>;
@@ -105,7 +106,7 @@ pub trait Renderer: Send + Sync + 'static {
 pub struct NoRenderer;
 
 impl Renderer for NoRenderer {
-    fn render(&self, _request: RenderRequest) -> BoxFuture<'_, Result<PathBuf, RenderError>> {
+    fn render(&self, _request: RenderRequest) -> BoxFuture<'_, Result<TempPath, RenderError>> {
         Box::pin(async { Err(RenderError::Unavailable("this server runs without a worker".into())) })
     }
 

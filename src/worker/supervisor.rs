@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use futures_util::future::BoxFuture;
+use tempfile::TempPath;
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, Lines};
 use tokio::process::{Child, ChildStdout, Command};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
@@ -85,8 +86,9 @@ impl Line {
 }
 
 struct Waiting {
-    to: PathBuf,
-    answer: oneshot::Sender<Result<(), RenderError>>,
+    /// Removed with the wait, with the answer that nobody takes, or by who took it. What a crash leaves, the next start removes.
+    to: TempPath,
+    answer: oneshot::Sender<Result<TempPath, RenderError>>,
     slot: Arc<OwnedSemaphorePermit>,
 }
 
@@ -216,10 +218,8 @@ impl Supervisor {
         let Some(Waiting { to, answer: waits, slot }) = waiting else { return };
         // Whoever is answered finds the place free: the request's own hold ends with it.
         drop(slot);
-        if let Err(Ok(())) = waits.send(answer.result) {
-            // The client went away meanwhile. What a crash leaves, the next start removes.
-            let _ = std::fs::remove_file(to);
-        }
+        // The client may have gone away meanwhile.
+        let _ = waits.send(answer.result.map(|()| to));
     }
 
     /// The worker is gone: whoever waits for it learns so.
@@ -228,7 +228,7 @@ impl Supervisor {
         *self.line.lock().unwrap() = Line::new(None);
     }
 
-    async fn try_render(&self, request: RenderRequest) -> Result<PathBuf, RenderError> {
+    async fn try_render(&self, request: RenderRequest) -> Result<TempPath, RenderError> {
         let deadline = Instant::now() + self.settings.timeout;
         let unavailable = |why: &str| RenderError::Unavailable(why.into());
         // Kept over the worker's death.
@@ -238,9 +238,9 @@ impl Supervisor {
             let there = timeout_at(deadline, up.wait_for(|up| *up)).await;
             there.map_err(|_| unavailable("it is starting"))?.map_err(|_| unavailable("it has ended"))?;
             let id = self.next_id.fetch_add(1, Ordering::Relaxed);
-            let (to, answer) = self.send(id, &request, slot.clone())?;
+            let answer = self.send(id, &request, slot.clone())?;
             match timeout_at(deadline, answer).await {
-                Ok(Ok(result)) => return result.map(|()| to),
+                Ok(Ok(result)) => return result,
                 // It died with the request; a fresh one may do better.
                 Ok(Err(_)) => {}
                 // The answer may still come; it is then removed as nobody's.
@@ -255,15 +255,17 @@ impl Supervisor {
         id: u64,
         request: &RenderRequest,
         slot: Arc<OwnedSemaphorePermit>,
-    ) -> Result<(PathBuf, oneshot::Receiver<Result<(), RenderError>>), RenderError> {
+    ) -> Result<oneshot::Receiver<Result<TempPath, RenderError>>, RenderError> {
+        let failed = |error: &dyn std::error::Error| RenderError::Failed(error.to_string());
         let extension = match request.what {
             What::Image(_) => "png",
             What::Mesh { .. } => "ply",
         };
         let to = self.settings.renders.join(format!("{}.{extension}", uuid::Uuid::new_v4()));
         let message = Request { id, request: request.clone(), to: to.clone() };
-        let mut line = serde_json::to_string(&message).map_err(|error| RenderError::Failed(error.to_string()))?;
+        let mut line = serde_json::to_string(&message).map_err(|error| failed(&error))?;
         line.push('\n');
+        let to = TempPath::try_from_path(to).map_err(|error| failed(&error))?;
         let (answer, answered) = oneshot::channel();
         let mut present = self.line.lock().unwrap();
         // Where the worker died since it was seen up, dropping `answer` tells the caller.
@@ -271,14 +273,14 @@ impl Supervisor {
             if present.waiting.is_empty() {
                 present.quiet_since = Instant::now();
             }
-            present.waiting.insert(id, Waiting { to: to.clone(), answer, slot });
+            present.waiting.insert(id, Waiting { to, answer, slot });
         }
-        Ok((to, answered))
+        Ok(answered)
     }
 }
 
 impl Renderer for Supervisor {
-    fn render(&self, request: RenderRequest) -> BoxFuture<'_, Result<PathBuf, RenderError>> {
+    fn render(&self, request: RenderRequest) -> BoxFuture<'_, Result<TempPath, RenderError>> {
         Box::pin(self.try_render(request))
     }
 

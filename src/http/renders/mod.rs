@@ -12,7 +12,8 @@ use super::App;
 use super::avatars::{find, model};
 use super::error::{ApiError, Problem};
 use super::extract::ApiJson;
-use crate::jobs::render::{RenderRequest, What};
+use crate::jobs::Avatar;
+use crate::jobs::render::{RenderError, RenderRequest, What};
 use body::RenderBody;
 
 /// Draw an avatar.
@@ -39,16 +40,29 @@ pub(super) async fn render(
 ) -> Result<Response, ApiError> {
     let avatar = find(&app, &id).await?;
     let image = body.check(&avatar)?;
-    let png = answer(&app, RenderRequest { model: model(&app, &avatar), what: What::Image(Box::new(image)) }).await?;
+    let png = answer(&app, avatar, What::Image(Box::new(image))).await?;
     Ok(([(header::CONTENT_TYPE, "image/png")], png).into_response())
 }
 
-/// Has something made by a worker and takes the file that it left.
-pub(super) async fn answer(app: &App, request: RenderRequest) -> Result<Vec<u8>, ApiError> {
-    let path = app.renderer.render(request).await?;
-    let content = tokio::fs::read(&path).await;
-    if let Err(error) = tokio::fs::remove_file(&path).await {
-        tracing::warn!(path = %path.display(), %error, "a render stays until the next start");
+/// Has something of an avatar made by a worker and takes the file that it left.
+pub(super) async fn answer(app: &App, mut avatar: Avatar, what: What) -> Result<Vec<u8>, ApiError> {
+    let file = loop {
+        let request = RenderRequest { model: model(app, &avatar), what: what.clone() };
+        match app.renderer.render(request).await {
+            // While the request waited, the avatar may have been deleted, or have expired, or been made anew.
+            Err(error @ RenderError::Failed(_)) => {
+                let now = find(app, &avatar.id.to_string()).await?;
+                if now.epoch == avatar.epoch {
+                    return Err(error.into());
+                }
+                avatar = now;
+            }
+            answer => break answer?,
+        }
+    };
+    let content = tokio::fs::read(&file).await;
+    if let Err(error) = file.close() {
+        tracing::warn!(%error, "a render stays until the next start");
     }
     Ok(content?)
 }

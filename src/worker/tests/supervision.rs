@@ -154,6 +154,24 @@ async fn a_picture_that_nobody_waits_for_has_its_place_until_it_is_drawn() {
 }
 
 #[tokio::test]
+async fn a_file_that_nobody_takes_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let supervisor = supervise(folder.path(), ANSWERING, |_| {});
+    let files = || std::fs::read_dir(folder.path()).unwrap().count();
+    while supervisor.trouble().is_some() {
+        tokio::task::yield_now().await;
+    }
+    let mut first = supervisor.render(request());
+    assert!(is_waiting(&mut first).await);
+    // Answers come in order.
+    drop(supervisor.render(request()).await.unwrap());
+    assert_eq!(files(), 1, "the first one's, whose client has not been told yet");
+    drop(first);
+    assert_eq!(files(), 0);
+    supervisor.stop();
+}
+
+#[tokio::test]
 async fn the_channel_ends_with_the_server() {
     let folder = tempfile::tempdir().unwrap();
     let device = DeviceThread::start(ScriptedEngine(Arc::new(endless))).unwrap();

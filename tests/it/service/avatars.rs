@@ -1,5 +1,7 @@
 //! `/v1/avatars`: files, meshes, renders.
 
+use std::future::Future;
+
 use effigy::jobs::render::{Background, PoseSource, What};
 
 use super::*;
@@ -180,4 +182,41 @@ async fn a_busy_or_failing_worker_is_told_apart() {
         assert_eq!(reply.headers.contains_key("retry-after"), status == 503);
         assert!(!problem.to_string().contains("0x1234"), "causes stay in the log");
     }
+}
+
+#[tokio::test]
+async fn an_avatar_that_is_deleted_while_its_picture_waits_is_unknown() {
+    let bench = Bench::new().await;
+    let failed = || Err(RenderError::Failed("No such file or directory".into()));
+    for mesh in [false, true] {
+        let path = avatar(&bench).await;
+        *bench.draws.answer.lock().unwrap() = failed();
+        let job = path.replace("avatars", "jobs");
+        let deletion = Request::builder().method(Method::DELETE).uri(job).body(Body::empty()).unwrap();
+        let router = bench.router.clone();
+        *bench.draws.meanwhile.lock().unwrap() =
+            Some(Box::pin(async move { assert_eq!(router.oneshot(deletion).await.unwrap().status(), 204) }));
+        let reply = match mesh {
+            true => bench.get(&format!("{path}/mesh.ply?frame=1")).await,
+            false => bench.post_json(&format!("{path}/renders"), &json!({ "frame": 0 })).await,
+        };
+        assert_eq!(reply.problem(404)["type"], "urn:effigy:problem:not-found");
+    }
+}
+
+#[tokio::test]
+async fn the_file_of_a_picture_goes_with_its_client() {
+    let bench = Bench::new().await;
+    let path = format!("{}/renders", avatar(&bench).await);
+    let files = || std::fs::read_dir(bench.store.renders()).unwrap().count();
+    let body = json!({ "frame": 0 });
+    let mut call = Box::pin(bench.post_json(&path, &body));
+    // To where the file is drawn and the answer is not made yet.
+    std::future::poll_fn(|context| match call.as_mut().poll(context) {
+        _ if files() > 0 => std::task::Poll::Ready(()),
+        answered => answered.map(|reply| panic!("{} at once", reply.status)),
+    })
+    .await;
+    drop(call);
+    assert_eq!(files(), 0);
 }

@@ -36,6 +36,7 @@ use effigy::jobs::{AvatarFile, Clip, Env, JobOptions, Lease, NewAvatar, NewJob, 
 use effigy::storage::{Published, Store};
 use futures_util::future::BoxFuture;
 use serde_json::{Value, json};
+use tempfile::TempPath;
 use tower::ServiceExt;
 use uuid::Uuid;
 
@@ -56,16 +57,22 @@ struct Draws {
     folder: PathBuf,
     asked: Mutex<Vec<RenderRequest>>,
     answer: Mutex<Result<&'static [u8], RenderError>>,
+    /// Happens while the next request waits.
+    meanwhile: Mutex<Option<BoxFuture<'static, ()>>>,
 }
 
 impl Renderer for Draws {
-    fn render(&self, request: RenderRequest) -> BoxFuture<'_, Result<PathBuf, RenderError>> {
+    fn render(&self, request: RenderRequest) -> BoxFuture<'_, Result<TempPath, RenderError>> {
         self.asked.lock().unwrap().push(request);
         let answer = self.answer.lock().unwrap().clone();
+        let meanwhile = self.meanwhile.lock().unwrap().take();
         Box::pin(async move {
+            if let Some(meanwhile) = meanwhile {
+                meanwhile.await;
+            }
             let path = self.folder.join(Uuid::new_v4().to_string());
             std::fs::write(&path, answer?).unwrap();
-            Ok(path)
+            Ok(TempPath::try_from_path(path).unwrap())
         })
     }
 
@@ -138,8 +145,8 @@ impl Bench {
         let policy = Policy { backoff: std::time::Duration::from_millis(10), ..policy };
         let keys = Arc::new(SqliteQueue::open(&store.database(), env.clone(), policy).await.unwrap());
         let queue: Arc<dyn Queue> = keys.clone();
-        let draws =
-            Arc::new(Draws { folder: store.renders(), asked: Mutex::default(), answer: Mutex::new(Ok(b"drawn")) });
+        let (asked, answer) = (Mutex::default(), Mutex::new(Ok(&b"drawn"[..])));
+        let draws = Arc::new(Draws { folder: store.renders(), asked, answer, meanwhile: Mutex::default() });
         let inspector = Arc::new(ClipInspector { store: store.clone() });
         let app = App::new(queue.clone(), store.clone(), draws.clone(), inspector, env.clone(), limits);
         let router = effigy::http::router(app.clone());
