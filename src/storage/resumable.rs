@@ -120,7 +120,12 @@ impl Store {
     pub fn move_resumables(&self, leap_ms: i64, now: SystemTime) -> io::Result<()> {
         let leap = Duration::from_millis(leap_ms.unsigned_abs());
         for id in self.resumable_ids()? {
-            let data = fs::File::options().write(true).open(self.resumable_data(id))?;
+            let data = match fs::File::options().write(true).open(self.resumable_data(id)) {
+                Ok(data) => data,
+                // A job has used it meanwhile, or its client has given it up.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+                Err(error) => return Err(error),
+            };
             let touched = data.metadata()?.modified()?;
             // What has come since the leap has the new clock's time already.
             match leap_ms > 0 {
@@ -151,7 +156,8 @@ impl Store {
             marked.await.map_err(io::Error::other)??;
         }
         let mut file = tokio::fs::OpenOptions::new().write(true).open(folder.join("data")).await?;
-        file.seek(io::SeekFrom::End(0)).await?;
+        // Not the end: a write that was under way when its request was dropped may come yet, and is then written over.
+        file.seek(io::SeekFrom::Start(upload.offset)).await?;
         let file = BufWriter::with_capacity(BUFFER_BYTES, file);
         Ok(Appender { store: self.clone(), folder, file, offset: upload.offset, looked: 0 })
     }
@@ -277,5 +283,29 @@ mod tests {
         assert_eq!(store.resumable(id).unwrap().unwrap().offset, 3);
         append(b"def").await.verify().await.unwrap();
         assert_eq!(fs::read(store.resumable_data(id)).unwrap(), b"abcdef");
+    }
+    #[tokio::test]
+    async fn a_piece_begins_where_it_was_said_to() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let id = begin(&store, 6);
+        let upload = store.resumable(id).unwrap().unwrap();
+        // What a request that was dropped had still under way.
+        fs::write(store.resumable_data(id), b"abc").unwrap();
+        let mut appender = store.append_resumable(&upload, false).await.unwrap();
+        appender.write(b"abcdef").await.unwrap();
+        assert_eq!(appender.keep().await.unwrap(), 6);
+        assert_eq!(fs::read(store.resumable_data(id)).unwrap(), b"abcdef");
+    }
+
+    #[test]
+    fn an_upload_that_goes_does_not_keep_the_clocks_leap_from_the_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        let id = begin(&store, 6);
+        fs::create_dir(store.resumable_folder(Uuid::new_v4())).unwrap();
+        let (before, day) = (store.resumable_touched(id).unwrap(), Duration::from_secs(24 * 3600));
+        store.move_resumables(day.as_millis() as i64, SystemTime::now() + day).unwrap();
+        assert_eq!(store.resumable_touched(id).unwrap(), before + day);
     }
 }
