@@ -23,7 +23,7 @@ impl Fingerprint {
             Some(digest) => *digest,
             None => {
                 let mut hash = Sha256::new();
-                add(&mut hash, &mut std::fs::File::open(std::env::current_exe()?)?)?;
+                add(&mut hash, &mut running_program()?)?;
                 *PROGRAM.get_or_init(|| hash.finalize().into())
             }
         };
@@ -73,6 +73,15 @@ impl Fingerprint {
     pub fn digits(self) -> String {
         self.0.finalize()[..8].iter().map(|byte| format!("{byte:02x}")).collect()
     }
+}
+
+/// The file that runs, also where another has taken its place since.
+fn running_program() -> io::Result<std::fs::File> {
+    #[cfg(target_os = "linux")]
+    if let Ok(file) = std::fs::File::open("/proc/self/exe") {
+        return Ok(file);
+    }
+    std::fs::File::open(std::env::current_exe()?)
 }
 
 fn add(hash: &mut Sha256, source: &mut impl Read) -> io::Result<()> {

@@ -32,8 +32,8 @@ const MOST_GREY: f64 = 0.75;
 
 const SURROUNDED: &str = "the person's pixels at 128 or more and all others below, best 255 and 0: masks that are inverted, or \
                           pictures of the person on a light background, are the other way round";
-const PICTURES: &str = "the person's pixels at 128 or more and all others below, best 255 and 0: a person cut out on black is no \
-                        mask, but one with transparency (PNG) is";
+const PICTURES: &str = "the person's pixels at 128 or more and all others below 32, best 255 and 0: a person cut out on black is \
+                        no mask, but one with transparency (PNG) is";
 
 /// The part of the outermost pixels that is foreground.
 fn border_covered(mask: &Picture) -> f64 {
@@ -123,25 +123,27 @@ pub(super) struct KeypointCheck {
     beside: usize,
     off_mask: usize,
     outside: usize,
-    /// Frames of which the only person is somebody else.
+    /// Frames of which nobody but somebody else was told.
     strangers: Vec<usize>,
     /// Frames without anybody on the mask.
     nobody: Vec<usize>,
 }
 
-/// The part of a lone person's confidence that lies on the mask at least; else it is somebody else.
+/// Somebody of whose confidence less lies on the mask, and whose points' box has less of the mask's box, is somebody else. A mask that lacks
+/// much of its person still lies within that person.
 const ON_MASK: f64 = 1.0 / 3.0;
+const MASK_WITHIN: f64 = 0.5;
 
 impl KeypointCheck {
     /// The points of the person on the mask: of several, the one with the most confidence there. Points far outside
     /// the image become unseen, and all of somebody who stands beside the mask; unseen points become zero.
-    pub fn choose(&mut self, frame: usize, keypoints: &Keypoints, mask: &Picture) -> Vec<Point> {
+    pub fn choose(&mut self, frame: usize, keypoints: &Keypoints, mask: &Picture, bounds: Rect) -> Vec<Point> {
         let mut best: Option<(f64, &Vec<Point>)> = None;
         let people = &keypoints.frames[frame];
         for person in people {
             let on_mask = person.iter().filter(|p| p[2] > 0.0 && is_near_foreground(mask, p));
             let score: f64 = on_mask.map(|p| p[2]).sum();
-            // A lone one is looked at below.
+            // Whether a lone one is the right one is seen below.
             if (score > 0.0 || people.len() == 1) && best.is_none_or(|(most, _)| score > most) {
                 best = Some((score, person));
             }
@@ -154,7 +156,8 @@ impl KeypointCheck {
             self.check(point, mask);
         }
         // In a detector's best person of each frame, a bystander comes in place of the one who is filmed.
-        if best.is_some_and(|(on_mask, _)| confidence > 0.0 && on_mask < ON_MASK * confidence) {
+        let off_mask = best.is_some_and(|(on_mask, _)| confidence > 0.0 && on_mask < ON_MASK * confidence);
+        if off_mask && share_within(bounds, &points) < MASK_WITHIN {
             self.strangers.push(frame);
             points = nobody();
         } else if points.iter().all(|point| point[2] == 0.0) {
@@ -218,6 +221,18 @@ impl KeypointCheck {
         }
         Ok(())
     }
+}
+
+/// The part of a box that lies within the box of the seen points.
+fn share_within(bounds: Rect, points: &[Point]) -> f64 {
+    let seen = || points.iter().filter(|point| point[2] > 0.0);
+    let overlap = |axis: usize, low: u32, high: u32| {
+        let (first, last) =
+            seen().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), p| (a.min(p[axis]), b.max(p[axis])));
+        (last.min(f64::from(high)) - first.max(f64::from(low))).max(0.0)
+    };
+    let area = f64::from(bounds.width()) * f64::from(bounds.height());
+    overlap(0, bounds.x0, bounds.x1) * overlap(1, bounds.y0, bounds.y1) / area.max(1.0)
 }
 
 /// The known poses seen so far.
@@ -316,6 +331,8 @@ mod tests {
         Picture { width: 100, height: 80, data }
     }
 
+    const BOUNDS: Rect = Rect { x0: 40, y0: 10, x1: 60, y1: 70 };
+
     fn people(people: Vec<Vec<Point>>) -> Keypoints {
         Keypoints { format: COCO17, given: COCO17, frames: vec![people], warnings: Vec::new() }
     }
@@ -372,17 +389,25 @@ mod tests {
     fn somebody_beside_the_mask_is_not_seen() {
         let mut check = KeypointCheck::default();
         let mut person = vec![[50.0, 40.0, 0.9]; 17];
-        assert_eq!(check.choose(0, &people(vec![person.clone()]), &mask()), person);
+        assert_eq!(check.choose(0, &people(vec![person.clone()]), &mask(), BOUNDS), person);
         // Arms that a mask lacks are no reason.
         person[7..13].fill([10.0, 40.0, 0.9]);
-        assert_eq!(check.choose(0, &people(vec![person.clone()]), &mask()), person);
+        assert_eq!(check.choose(0, &people(vec![person.clone()]), &mask(), BOUNDS), person);
+        // Nor is a mask that lacks nearly all of the person.
+        let spread = |i: usize| [40.0 + (i % 3) as f64 * 10.0, 10.0 + 3.5 * i as f64, 0.9];
+        let whole: Vec<Point> = (0..17).map(spread).collect();
+        let mut shins = mask();
+        shins.data[..100 * 62].fill(0);
+        let below = Rect { y0: 62, ..BOUNDS };
+        assert_eq!(check.choose(0, &people(vec![whole.clone()]), &shins, below), whole);
         person[..13].fill([10.0, 40.0, 0.9]);
-        assert_eq!(check.choose(0, &people(vec![person]), &mask()), vec![[0.0; 3]; 17]);
+        assert_eq!(check.choose(0, &people(vec![person]), &mask(), BOUNDS), vec![[0.0; 3]; 17]);
         let mut warnings = Vec::new();
         check.finish(&mut warnings).unwrap();
         let told =
             "keypoints: in 1 frames, the first of them 0, they are of somebody beside the mask: taken as not seen";
-        assert_eq!(warnings, ["keypoints: 19 of 51 points lie off the masks", told]);
+        assert_eq!(warnings.last().unwrap(), told);
+        assert!(warnings[0].contains("of 68 points lie off the masks"), "{warnings:?}");
     }
 
     #[test]
@@ -390,15 +415,15 @@ mod tests {
         let beside = vec![[10.0, 40.0, 1.0]; 17];
         let on = vec![[50.0, 40.0, 0.4]; 17];
         let mut check = KeypointCheck::default();
-        let points = check.choose(0, &people(vec![beside.clone(), on.clone()]), &mask());
+        let points = check.choose(0, &people(vec![beside.clone(), on.clone()]), &mask(), BOUNDS);
         assert_eq!(points, on);
-        let points = check.choose(0, &people(vec![beside.clone(), beside]), &mask());
+        let points = check.choose(0, &people(vec![beside.clone(), beside]), &mask(), BOUNDS);
         assert_eq!(points, vec![[0.0; 3]; 17]);
         let mut warnings = Vec::new();
         check.finish(&mut warnings).unwrap();
         assert_eq!(warnings, ["keypoints: nobody is seen in 1 frames, the first of them 0"]);
         let mut check = KeypointCheck::default();
-        check.choose(0, &people(vec![vec![[10.0, 40.0, 1.0]; 17]; 2]), &mask());
+        check.choose(0, &people(vec![vec![[10.0, 40.0, 1.0]; 17]; 2]), &mask(), BOUNDS);
         let error = check.finish(&mut Vec::new()).unwrap_err();
         assert_eq!(error.message, "none of the people in any frame lies on the masks");
     }
@@ -409,14 +434,14 @@ mod tests {
         person[3] = [-3.0, 40.0, 1.0];
         person[4] = [1e300, -1e300, 1.0];
         let mut check = KeypointCheck::default();
-        let points = check.choose(0, &people(vec![person]), &mask());
+        let points = check.choose(0, &people(vec![person]), &mask(), BOUNDS);
         assert_eq!((points[3], points[4]), ([-3.0, 40.0, 1.0], [0.0; 3]));
         let mut warnings = Vec::new();
         check.finish(&mut warnings).unwrap();
         assert_eq!(warnings, ["keypoints: 1 points far outside the images are taken as not seen"]);
 
         let mut check = KeypointCheck::default();
-        check.choose(0, &people(vec![vec![[10.0, 40.0, 1.0]; 17]]), &mask());
+        check.choose(0, &people(vec![vec![[10.0, 40.0, 1.0]; 17]]), &mask(), BOUNDS);
         assert_eq!(check.finish(&mut Vec::new()).unwrap_err().message, "17 of 17 points lie off the masks");
     }
 

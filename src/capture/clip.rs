@@ -83,13 +83,14 @@ impl Capture {
         let deadline = Instant::now() + LOAD_TIME;
         let parts = SmallParts::read(inputs)?;
         let (count, most) = (parts.keypoints.frames.len(), options.max_frames as usize);
-        let shown: Vec<usize> = if count > most {
-            with_somebody(&inputs.masks, count, deadline, &mut |read| go_on(MASKS_SHARE * read))?
+        let (shown, before): (Vec<usize>, f32) = if count > most {
+            let shown = with_somebody(&inputs.masks, count, deadline, &mut |read| go_on(MASKS_SHARE * read))?;
+            (shown, MASKS_SHARE)
         } else {
-            (0..count).collect()
+            ((0..count).collect(), 0.0)
         };
         let kept: Vec<usize> = subsample(shown.len(), most).into_iter().map(|i| shown[i]).collect();
-        let go_on = &mut |read| go_on(MASKS_SHARE + (1.0 - MASKS_SHARE) * read);
+        let go_on = &mut |read| go_on(before + (1.0 - before) * read);
         Self::of(parts, inputs, &kept, options.max_side_px, deadline, go_on)
     }
 
@@ -119,7 +120,8 @@ impl Capture {
         deadline: Instant,
         go_on: GoOn<'_>,
     ) -> Result<Self, CaptureError> {
-        let mut clip = parts.open(Source::open_kept(&inputs.video, kept, deadline)?, inputs, deadline)?;
+        let video = Source::open_kept(&inputs.video, kept, parts.keypoints.frames.len(), deadline)?;
+        let mut clip = parts.open(video, inputs, deadline)?;
         let mut rectify = None;
         let mut frames = Vec::with_capacity(kept.len());
         let (mut vanished, mut room) = (Vec::new(), Room::default());
@@ -320,7 +322,7 @@ impl Clip {
                     }
                     // Where the mask tells nobody, a detector may have found somebody else.
                     self.points.push(match bounds {
-                        Some(_) => keypoint_check.choose(index, &self.keypoints, &mask),
+                        Some(bounds) => keypoint_check.choose(index, &self.keypoints, &mask, bounds),
                         None => vec![[0.0; 3]; self.keypoints.format.points],
                     });
                     if keep(index) {
@@ -387,8 +389,7 @@ impl Clip {
                 // A tool that writes at a constant rate doubles and drops frames of a phone's video.
                 if self.video.fps.is_some() {
                     expected.push_str(
-                        "; `ffmpeg -i video -fps_mode passthrough frames/%05d.png` takes it apart frame by frame, and a zip of \
-                         those images may be sent as the video",
+                        "; `ffmpeg -i video -fps_mode passthrough frames/%05d.png` takes it apart frame by frame",
                     );
                 }
                 Err(BadInput::new(part, message, expected))

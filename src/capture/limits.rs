@@ -25,7 +25,8 @@ pub(super) const POSES_VALUES: usize = 16 << 20;
 
 pub(super) const PROBE_TIME: Duration = Duration::from_secs(30);
 pub(super) const INSPECT_TIME: Duration = Duration::from_secs(180);
-pub(super) const LOAD_TIME: Duration = Duration::from_secs(1200);
+/// Others' renders may have half of it.
+pub(super) const LOAD_TIME: Duration = Duration::from_secs(2400);
 /// Address space of a decoder: reference frames of 4096² at 10 bits for each thread, and the libraries.
 pub(super) const CHILD_MEMORY_BYTES: u64 = 4 << 30;
 

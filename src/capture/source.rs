@@ -60,15 +60,15 @@ impl Source {
         Ok(Self::of(&file, part, stream))
     }
 
-    /// Opens the pictures of a clip of which only those with the numbers `kept`, which rise, will be wanted.
-    pub fn open_kept(path: &Path, kept: &[usize], deadline: Instant) -> Result<Self, CaptureError> {
+    /// Opens the pictures of a clip, of which there should be `count`. Only those with the numbers `kept`, which rise, will be wanted.
+    pub fn open_kept(path: &Path, kept: &[usize], count: usize, deadline: Instant) -> Result<Self, CaptureError> {
         let part = Part::Video;
         if archive::is_zip(path)? {
             return Self::open(part, path, Pixels::Rgb, false, deadline);
         }
         let file = VideoFile::open(part, path)?;
         // To bring a frame to sRGB takes several times as long as to decode it twice.
-        let stream = if file.is_hdr() {
+        let stream = if file.is_hdr() && kept.len() < count {
             let all = Box::new(file.decode(Pixels::Mask, true, None, deadline)?);
             Stream::Some { all, some: Box::new(file.decode(Pixels::Rgb, false, Some(kept), deadline)?) }
         } else {
@@ -97,7 +97,7 @@ impl Source {
                     )
                     .at(self.count)
                 })?),
-                None => some.next(false)?,
+                None => None,
             },
         };
         self.count += usize::from(picture.is_some());

@@ -284,6 +284,7 @@ mod tests {
         append(b"def").await.verify().await.unwrap();
         assert_eq!(fs::read(store.resumable_data(id)).unwrap(), b"abcdef");
     }
+
     #[tokio::test]
     async fn a_piece_begins_where_it_was_said_to() {
         let folder = tempfile::tempdir().unwrap();

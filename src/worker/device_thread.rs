@@ -158,7 +158,7 @@ fn serve(mut engine: impl Engine, inbox: &Receiver<Task>) {
                     inbox,
                     draughtsman: Draughtsman::default(),
                     stage: None,
-                    fits_since: Instant::now(),
+                    turns: Turns::from(Instant::now()),
                 };
                 let run = catch_unwind(AssertUnwindSafe(|| engine.fit(&task, &mut observer)));
                 observer.end_stage();
@@ -188,8 +188,35 @@ struct FitObserver<'a> {
     inbox: &'a Receiver<Task>,
     draughtsman: Draughtsman,
     stage: Option<(&'static str, Instant, Span)>,
-    /// When the fit had the device back from the renders.
+    turns: Turns,
+}
+
+/// How a fit and the renders meanwhile share the device.
+struct Turns {
+    /// When the fit had it back.
     fits_since: Instant,
+    /// For how long it has it then, before renders have another turn.
+    owed: Duration,
+}
+
+impl Turns {
+    /// Pictures of many pixels take longer, and requests for others wait for a minute at most.
+    const LONGEST: Duration = Duration::from_secs(5);
+
+    fn from(now: Instant) -> Turns {
+        Turns { fits_since: now, owed: Duration::ZERO }
+    }
+
+    /// How long renders may have the device; none while it is the fit's turn. Where steps are short, as the frames are that are read, one
+    /// render a step would be most of the time.
+    fn share(&self, now: Instant) -> Option<Duration> {
+        let share = now - self.fits_since;
+        (share >= self.owed).then_some(share)
+    }
+
+    fn end(&mut self, began: Instant, now: Instant) {
+        *self = Turns { fits_since: now, owed: (now - began).min(Turns::LONGEST) };
+    }
 }
 
 impl FitObserver<'_> {
@@ -235,9 +262,10 @@ impl Observer for FitObserver<'_> {
     /// As long as the fit has had the device, renders may have it, and one of them always: whatever takes long, and however
     /// many clients there are, neither side starves the other.
     fn idle(&mut self, gpu: &Arc<Gpu>) {
-        let share = self.fits_since.elapsed();
+        let began = Instant::now();
+        let Some(share) = self.turns.share(began) else { return };
         draw_waiting(self.inbox, &self.control, share, |request, to| self.draughtsman.draw(gpu, request, to));
-        self.fits_since = Instant::now();
+        self.turns.end(began, Instant::now());
     }
 }
 
@@ -321,6 +349,19 @@ mod tests {
             assert_eq!(clients.drawn().len(), steps as usize, "one a step, in the end each of them");
         }
         assert!(clients.drawn().is_sorted());
+    }
+
+    #[test]
+    fn renders_wait_as_long_as_the_fit_has_waited_for_them() {
+        let (start, ms) = (Instant::now(), Duration::from_millis);
+        let mut turns = Turns::from(start);
+        assert_eq!(turns.share(start), Some(ms(0)), "the first one need not wait");
+        turns.end(start, start + ms(170));
+        assert_eq!(turns.share(start + ms(339)), None);
+        assert_eq!(turns.share(start + ms(341)), Some(ms(171)));
+        // A picture of a minute keeps the next one for five seconds.
+        turns.end(start, start + ms(60_000));
+        assert_eq!((turns.share(start + ms(64_999)), turns.share(start + ms(65_000))), (None, Some(ms(5000))));
     }
 
     #[test]

@@ -238,7 +238,7 @@ fn a_skirt_becomes_one_piece_and_learns_its_texture_anew() {
     let Some(gpu) = gpu("a_skirt_becomes_one_piece_and_learns_its_texture_anew") else { return };
     let folder = tempfile::tempdir().unwrap();
     let start = Start::new(&gpu, 12);
-    start.fitted_with_a_skirt(folder.path());
+    start.fitted_with_a_skirt(&gpu, folder.path());
 
     let draft = FitConfig::draft(0);
     let before = draft.steps(&draft.texture.phases, 12);
@@ -370,10 +370,12 @@ impl Start {
     }
 
     /// Leaves the checkpoint of a fit that is done and has shaped a skirt of two legs in a job's folder.
-    fn fitted_with_a_skirt(&self, folder: &Path) {
+    fn fitted_with_a_skirt(&self, gpu: &Arc<Gpu>, folder: &Path) {
         let mut fitted = FitState { stage: fit::Stage::Done, ..self.state.clone() };
         wear_a_skirt(&self.body, &mut fitted);
-        std::fs::create_dir_all(folder.join("work")).unwrap();
+        // A checkpoint is gone on from where this program has begun.
+        let mut witness = Witness { stop_at: Some((Stage::Decode, 1)), ..Witness::default() };
+        run(gpu, &input(clip(gpu)), folder, &mut witness).unwrap_err();
         fitted.save(&checkpoint(folder)).unwrap();
     }
 

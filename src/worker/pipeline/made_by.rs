@@ -27,7 +27,7 @@ pub(super) fn begin_anew_for_others(work_dir: &Path, body_file: &Path, options: 
     // The mark goes first: what is half gone is nobody's.
     for path in std::iter::once(mark.clone()).chain(files(work_dir)?) {
         match std::fs::remove_file(&path) {
-            Ok(()) => kept += 1,
+            Ok(()) => kept += usize::from(path != mark),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             Err(error) => return Err(error),
         }

@@ -182,8 +182,13 @@ fn load_body(path: &Path, name: &str) -> Result<Body, PipelineError> {
 }
 
 fn load_capture(input: &PipelineInput, monitor: &mut Monitor<'_>) -> Result<Capture, PipelineError> {
+    let mut told = 0;
     let loaded = Capture::load(&input.capture_inputs(), &capture_options(&input.options), &mut |read| {
-        monitor.tell(Stage::Decode, (read * 100.0) as u32, 100);
+        let percent = (read * 100.0) as u32;
+        if percent > told {
+            told = percent;
+            monitor.tell(Stage::Decode, percent, 100);
+        }
         monitor.go_on()
     });
     loaded.map_err(|error| from_capture(error, monitor))

@@ -55,9 +55,12 @@ fn a_fit_that_goes_on_reports_its_losses_from_the_beginning() {
     let mut witness = Witness { stop_at: Some((Stage::Decode, 0)), ..Witness::default() };
     run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap_err();
     let kept = folder.path().join("work/losses.json");
-    let mut points: Vec<serde_json::Value> = serde_json::from_slice(&std::fs::read(&kept).unwrap()).unwrap();
-    points.push(serde_json::json!({ "stage": "texture", "step": 31, "losses": { "lost": 1.0 } }));
-    std::fs::write(&kept, serde_json::to_vec(&points).unwrap()).unwrap();
+    let mut file: serde_json::Value = serde_json::from_slice(&std::fs::read(&kept).unwrap()).unwrap();
+    let lost = serde_json::json!({ "stage": "texture", "step": 31, "losses": { "lost": 1.0 } });
+    file["points"].as_array_mut().unwrap().push(lost);
+    // And times of before.
+    file["secs"] = serde_json::json!({ "pose": 1000.0, "texture": 2000.0 });
+    std::fs::write(&kept, serde_json::to_vec(&file).unwrap()).unwrap();
 
     let mut witness = Witness::default();
     run(&gpu, &input(clip(&gpu)), folder.path(), &mut witness).unwrap();
@@ -76,6 +79,9 @@ fn a_fit_that_goes_on_reports_its_losses_from_the_beginning() {
         .collect();
     assert_eq!(points[0], (stage, u64::from(step)));
     assert!(!report["losses"].to_string().contains("lost"));
+    let secs = |stage: &str| report["secs"][stage].as_f64().unwrap();
+    assert!(secs("pose") > 1000.0 && secs("texture") > 2000.0 && secs("geometry") < 1000.0, "{}", report["secs"]);
+    assert!(report["metrics"]["secs"].as_f64().unwrap() > 3000.0);
     assert!(points.windows(2).all(|pair| pair[0] < pair[1]), "each step once, in order: {points:?}");
 }
 
@@ -102,8 +108,8 @@ fn what_comes_after_the_fit_ends_the_same_wherever_it_is_stopped() {
     let Some(gpu) = gpu("what_comes_after_the_fit_ends_the_same_wherever_it_is_stopped") else { return };
     let (whole, stopped) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let start = Start::new(&gpu, 12);
-    start.fitted_with_a_skirt(whole.path());
-    start.fitted_with_a_skirt(stopped.path());
+    start.fitted_with_a_skirt(&gpu, whole.path());
+    start.fitted_with_a_skirt(&gpu, stopped.path());
     run(&gpu, &input(clip(&gpu)), whole.path(), &mut Witness::default()).unwrap();
 
     let draft = FitConfig::draft(0);
