@@ -223,13 +223,17 @@ impl KeypointCheck {
     }
 }
 
-/// The part of a box that lies within the box of the seen points.
+/// The part of a box that lies within the box of the seen points, and around it: joints lie inside of a body.
 fn share_within(bounds: Rect, points: &[Point]) -> f64 {
-    let seen = || points.iter().filter(|point| point[2] > 0.0);
+    let range = |axis: usize| {
+        let seen = points.iter().filter(|point| point[2] > 0.0).map(|point| point[axis]);
+        seen.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
+    };
+    let ranges = [range(0), range(1)];
+    let around = 0.1 * ranges.iter().map(|(low, high)| high - low).fold(0.0, f64::max);
     let overlap = |axis: usize, low: u32, high: u32| {
-        let (first, last) =
-            seen().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), p| (a.min(p[axis]), b.max(p[axis])));
-        (last.min(f64::from(high)) - first.max(f64::from(low))).max(0.0)
+        let (first, last) = ranges[axis];
+        ((last + around).min(f64::from(high)) - (first - around).max(f64::from(low))).max(0.0)
     };
     let area = f64::from(bounds.width()) * f64::from(bounds.height());
     overlap(0, bounds.x0, bounds.x1) * overlap(1, bounds.y0, bounds.y1) / area.max(1.0)

@@ -445,6 +445,7 @@ fn the_frames_that_are_kept_have_somebody_in_them() {
     assert_eq!(capture.frames.iter().map(|frame| frame.index).collect::<Vec<_>>(), [4, 8, 10]);
     let warnings = [
         "masks: 4 of 12 are empty, the first of them 0: those frames are left out",
+        "keypoints: in 1 frames, the first of them 6, they are of somebody beside the mask: taken as not seen",
         "masks: nothing of the mask is left at 32×48 pixels in 1 of 4 frames, the first of them 6: left out",
     ];
     assert_eq!(capture.warnings, warnings);
