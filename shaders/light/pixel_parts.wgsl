@@ -8,7 +8,6 @@ struct Params {
     wrap: f32,
     slope: vec3<f32>,
     n_max: u32,
-    first_exposure: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -18,7 +17,7 @@ struct Params {
 @group(0) @binding(4) var<storage, read> bary_coords: array<f32>; // [H, W, 3]
 @group(0) @binding(5) var<storage, read> faces: array<u32>; // [F, 3]
 @group(0) @binding(6) var<storage, read> vertex_normals: array<f32>; // [V, 3], unit
-@group(0) @binding(7) var<storage, read> exposure: array<vec2<f32>>; // [N, V]
+@group(0) @binding(7) var<storage, read> exposure: array<vec2<f32>>; // [V]
 @group(0) @binding(8) var<storage, read_write> parts: array<vec2<f32>>; // [P]
 
 @compute @workgroup_size(64)
@@ -36,7 +35,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
         let v = 3u * corner;
         let bary = bary_coords[3u * pixel + c];
         normal += bary * vec3(vertex_normals[v], vertex_normals[v + 1u], vertex_normals[v + 2u]);
-        reaching += bary * exposure[params.first_exposure + corner];
+        reaching += bary * exposure[corner];
     }
     parts[k] = reaching * shade_parts(Light(params.direction, params.wrap, params.slope), normal);
 }

@@ -86,7 +86,7 @@ impl<'a> StageWork<'a> {
             self.look.end_frame(recorder);
             return;
         }
-        let borders = if coloured { self.look.borders() } else { None };
+        let borders = if coloured { self.look.borders(frame) } else { None };
         self.silhouette.record(recorder, scene, frame, borders, &self.losses);
         self.record_soft(recorder, frame);
         self.look.end_frame(recorder);

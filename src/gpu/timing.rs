@@ -24,7 +24,14 @@ pub(super) struct Timings {
     by_label: Mutex<BTreeMap<String, KernelTime>>,
 }
 
+/// CPU time of this process, all threads; zero where the system has no such clock.
+#[cfg(not(unix))]
+pub fn cpu_secs() -> f64 {
+    0.0
+}
+
 /// CPU time of this process, all threads.
+#[cfg(unix)]
 pub fn cpu_secs() -> f64 {
     let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
     // SAFETY: the call writes one timespec, which is ours; it fails for unknown clocks alone.

@@ -68,10 +68,11 @@ impl Confinement {
     }
 }
 
-/// The file that a name stands for in `PATH`.
+/// The file that a program's name stands for in `PATH`.
 pub(super) fn program(name: &str) -> Option<PathBuf> {
     let path = std::env::var_os("PATH")?;
-    std::env::split_paths(&path).map(|folder| folder.join(name)).find(|file| file.is_file())
+    let file = format!("{name}{}", std::env::consts::EXE_SUFFIX);
+    std::env::split_paths(&path).map(|folder| folder.join(&file)).find(|file| file.is_file())
 }
 
 #[cfg(not(target_os = "linux"))]

@@ -109,7 +109,7 @@ impl Look for FaceColours {
         scene.hard.shade_backward(recorder, camera, &scene.view, grad_image, grad_colours);
     }
 
-    fn borders(&self) -> Option<RgbGradient<'_>> {
+    fn borders(&self, _frame: &FrameStep<'_>) -> Option<RgbGradient<'_>> {
         Some(RgbGradient { image: &self.image, grad_image: &self.grad_image })
     }
 

@@ -5,7 +5,7 @@ use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::Topology;
 use crate::ops::face_normals::FaceNormals;
 use crate::ops::interpolate::Interpolate;
-use crate::ops::light::{Exposure, ExposureAt, Light, ShadedRows, Shading, Write};
+use crate::ops::light::{Exposure, Light, ShadedRows, Shading, Write};
 
 /// A light and what it needs to know of the body. One frame at a time: the scene's last one.
 pub struct Lit {
@@ -20,8 +20,9 @@ pub struct Lit {
     face_parts: Buffer<f32>,
     /// `[V, 3]`, unit, world space
     on_vertices: Buffer<f32>,
-    /// `[N, V, 2]`: what reaches each vertex in each frame, as of the last call of [`Lit::set`]
-    exposure: Buffer<f32>,
+    /// `[N][V, 2]`: what reaches each vertex in each frame, as of the last call of [`Lit::set`]. A buffer a frame: all frames
+    /// of a long clip are more than some devices bind at once.
+    exposures: Vec<Buffer<f32>>,
     /// `[1]`: F
     all_faces: Buffer<u32>,
     n_faces: usize,
@@ -35,7 +36,7 @@ impl Lit {
         Self {
             light,
             stands: false,
-            exposure: gpu.upload("fit/lit/exposure", &vec![1.0; n_frames * n_vertices * 2]),
+            exposures: (0..n_frames).map(|_| gpu.upload("fit/lit/exposure", &vec![1.0; 2 * n_vertices])).collect(),
             on_faces: face_normals.normals(gpu, "fit/lit/face_normals"),
             face_parts: gpu.zeros("fit/lit/face_parts", 2 * faces.len()),
             on_vertices: gpu.zeros("fit/lit/vertex_normals", 3 * n_vertices),
@@ -51,9 +52,11 @@ impl Lit {
     /// # Panics
     /// When the exposures are not those of all frames and vertices.
     pub fn set(&mut self, gpu: &Gpu, light: Light, exposures: &[Vec<Exposure>]) {
-        let exposures = exposures.concat();
-        assert_eq!(2 * exposures.len(), self.exposure.len(), "exposures");
-        gpu.write(&self.exposure, 0, bytemuck::cast_slice(&exposures));
+        assert_eq!(exposures.len(), self.exposures.len(), "exposures of so many frames");
+        for (buffer, exposures) in self.exposures.iter().zip(exposures) {
+            assert_eq!(2 * exposures.len(), buffer.len(), "{}: vertices", buffer.label());
+            gpu.write(buffer, 0, bytemuck::cast_slice(exposures));
+        }
         self.light = light;
     }
 
@@ -67,11 +70,7 @@ impl Lit {
         self.face_normals.forward(recorder, &scene.posed.vertices, &self.on_faces);
         self.shading.vertex_normals(recorder, &self.on_faces, &self.on_vertices);
         let (normals, parts) = (&self.on_faces, &self.face_parts);
-        self.shading.face_parts(recorder, &self.light, self.at(frame), &scene.corners.faces, normals, parts);
-    }
-
-    fn at(&self, frame: usize) -> ExposureAt<'_> {
-        ExposureAt { exposure: &self.exposure, frame }
+        self.shading.face_parts(recorder, &self.light, &self.exposures[frame], &scene.corners.faces, normals, parts);
     }
 
     /// Records `shaded = values · shade`, `[F, 3]`.
@@ -92,8 +91,8 @@ impl Lit {
     ) {
         let (hard, faces) = (&scene.hard, &scene.corners.faces);
         let (pix_to_face, bary) = (&hard.pix_to_face, &hard.bary_coords);
-        let (at, normals) = (self.at(frame), &self.on_vertices);
-        self.shading.pixel_parts(recorder, &self.light, at, list, n, pix_to_face, bary, faces, normals, parts);
+        let (exposure, normals) = (&self.exposures[frame], &self.on_vertices);
+        self.shading.pixel_parts(recorder, &self.light, exposure, list, n, pix_to_face, bary, faces, normals, parts);
     }
 
     /// Records `shaded = values · shade` of the listed pixels, `[P, 3]`.

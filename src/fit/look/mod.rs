@@ -47,7 +47,7 @@ pub(super) trait Look: Kept {
     fn hard(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: &FrameStep<'_>, moves: bool, losses: &Losses);
 
     /// The last hard image with its gradient, where the borders in it shall move the mesh.
-    fn borders(&self) -> Option<RgbGradient<'_>>;
+    fn borders(&self, frame: &FrameStep<'_>) -> Option<RgbGradient<'_>>;
 
     /// `[F, 3]`: the colours that the soft image is drawn with, and where their gradient is added.
     fn face_colours(&self) -> (&Buffer<f32>, &Buffer<f32>);

@@ -60,7 +60,8 @@ pub struct Texture {
     /// `[N][level]`, see [`trusted_pixels`].
     trusted: Vec<Vec<PixelList>>,
     pixel_rate: f32,
-    most_pixels: Option<usize>,
+    /// That a step looks at in one frame, as expected of a random sample.
+    most_pixels: usize,
     facing: bool,
     /// Whether what no frame shows is filled, and that, once a phase has begun.
     fills: bool,
@@ -69,8 +70,23 @@ pub struct Texture {
     rgb_weight: f32,
 }
 
-/// The most pixels that a step looks at in one frame: what the smallest allowed binding holds of the field's activations.
+/// The most pixels that a step lists in one frame: what the smallest allowed binding holds of the field's activations.
 const MAX_LISTED: usize = 1 << 20;
+
+/// The length of a list for so many expected pixels. A random sample may be a little larger than is expected of it, and the body
+/// larger than what is trusted of its mask; pixels that find no place would always be those at the bottom of the picture.
+const fn listed(expected: usize) -> usize {
+    expected * 5 / 4
+}
+
+/// The most pixels that may be expected: `listed` of it is [`MAX_LISTED`].
+const MOST_EXPECTED: usize = MAX_LISTED * 4 / 5;
+
+/// Part of a frame's pixels that a step looks at, of which `trusted` are to be learned from: `pixel_rate`, but at most
+/// `most_pixels` on the mean.
+fn sampled(pixel_rate: f32, most_pixels: usize, trusted: usize) -> f32 {
+    pixel_rate.min(most_pixels as f32 / trusted.max(1) as f32)
+}
 
 /// The texture under a light: its colours are the albedo.
 struct LitTexture {
@@ -127,8 +143,8 @@ impl Texture {
         };
         let texels = state.texels.as_ref();
         let coords = texels.map_or(state.texcoords.clone(), |t| t.uvs.iter().flat_map(|&[u, v]| [u, v, 0.0]).collect());
-        // A random sample may be a little larger than is expected of it.
-        let listed = n.min(config.most_pixels.map_or(MAX_LISTED, |most| most * 5 / 4).min(MAX_LISTED));
+        let most_pixels = config.most_pixels.unwrap_or(MOST_EXPECTED).min(MOST_EXPECTED);
+        let listed = n.min(listed(most_pixels));
         let capacity = listed.max(n_faces);
         Ok(Self {
             model: TextureModel::new(gpu, config, state, capacity)?,
@@ -154,7 +170,7 @@ impl Texture {
             grad_bary: zeros("grad_bary"),
             trusted: trusted.collect::<Result<_, FitError>>()?,
             pixel_rate: config.pixel_rate,
-            most_pixels: config.most_pixels,
+            most_pixels,
             facing: config.facing,
             fills: config.fill_unseen,
             unseen: None,
@@ -162,10 +178,13 @@ impl Texture {
         })
     }
 
-    /// Part of the covered pixels of a frame that a step looks at.
-    fn rate(&self, trusted: &PixelList) -> f32 {
-        let most = self.most_pixels.map_or(1.0, |most| most as f32 / trusted.len().max(1) as f32);
-        self.pixel_rate.min(most)
+    /// Of the frame, as [`sampled`].
+    fn rate(&self, frame: &FrameStep<'_>) -> f32 {
+        sampled(self.pixel_rate, self.most_pixels, self.trusted(frame).len())
+    }
+
+    fn trusted(&self, frame: &FrameStep<'_>) -> &PixelList {
+        &self.trusted[frame.frame][frame.phase.level]
     }
 
     fn faces<'a>(&'a self, scene: &'a Scene) -> &'a Buffer<u32> {
@@ -248,8 +267,7 @@ impl Look for Texture {
         let (camera, n, target) = (&frame.level.camera, frame.level.camera.n_pixels(), frame.target());
         let (hard, faces, texcoords) = (&scene.hard, self.faces(scene), &self.texcoords.values);
         let seed = frame.number.wrapping_mul(0x9e37_79b9) ^ frame.frame as u32;
-        let trusted = &self.trusted[frame.frame][frame.phase.level];
-        let rate = self.rate(trusted);
+        let (trusted, rate) = (self.trusted(frame), self.rate(frame));
         let sampling = Sampling { rate: f64::from(rate), seed };
         interpolate.forward(recorder, n, &hard.pix_to_face, &hard.bary_coords, faces, texcoords, sampling);
         let n_max = interpolate.n_max(n);
@@ -288,8 +306,8 @@ impl Look for Texture {
     }
 
     /// Only while the shape is fitted; and a sample of the pixels has no borders.
-    fn borders(&self) -> Option<RgbGradient<'_>> {
-        let whole = self.moves_shape && self.pixel_rate == 1.0;
+    fn borders(&self, frame: &FrameStep<'_>) -> Option<RgbGradient<'_>> {
+        let whole = self.moves_shape && self.rate(frame) == 1.0;
         whole.then_some(RgbGradient { image: &self.image, grad_image: &self.grad_image })
     }
 
@@ -319,5 +337,24 @@ impl Look for Texture {
             state.face_colours = scene.gpu.read(&self.face_colours)?;
         }
         self.model.read_into(&scene.gpu, state)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_expected_finds_a_place() {
+        assert_eq!(sampled(0.5, MOST_EXPECTED, 60_000), 0.5);
+        assert_eq!(sampled(1.0, 30_000, 60_000), 0.5);
+        assert_eq!(sampled(1.0, MOST_EXPECTED, 0), 1.0);
+        // Somebody who fills a picture of 4096 pixels in height.
+        let covered = 3_000_000;
+        for rate in [0.5, 1.0] {
+            let on_the_mean = f64::from(sampled(rate, MOST_EXPECTED, covered)) * covered as f64;
+            assert!(on_the_mean <= 0.81 * MAX_LISTED as f64, "{on_the_mean} of {MAX_LISTED}");
+        }
+        assert!(listed(MOST_EXPECTED) <= MAX_LISTED);
     }
 }

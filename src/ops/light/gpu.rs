@@ -23,15 +23,6 @@ struct PartParams {
     wrap: f32,
     slope: [f32; 3],
     n: u32,
-    first_exposure: u32,
-    unused: [u32; 3],
-}
-
-/// The exposure `[N, V, 2]` of the vertices, and the frame that is shaded.
-#[derive(Clone, Copy)]
-pub struct ExposureAt<'a> {
-    pub exposure: &'a Buffer<f32>,
-    pub frame: usize,
 }
 
 /// What becomes of a product. The numbers are those of `shaders/light/apply.wgsl`.
@@ -121,7 +112,7 @@ impl Shading {
         &self,
         recorder: &mut Recorder<'_>,
         light: &Light,
-        at: ExposureAt<'_>,
+        exposure: &Buffer<f32>,
         faces: &Buffer<u32>,
         normals: &Buffer<f32>,
         parts: &Buffer<f32>,
@@ -129,16 +120,14 @@ impl Shading {
         let n = parts.len() / 2;
         assert_eq!(normals.len(), 3 * n, "{}: length", normals.label());
         assert_eq!(faces.len(), 3 * n, "{}: length", faces.label());
-        let buffers: [&dyn AnyBuffer; 4] = [faces, normals, at.exposure, parts];
-        recorder.dispatch(&self.face_parts, &self.part_params(light, at, n), &buffers, linear_groups(n, 64));
+        let buffers: [&dyn AnyBuffer; 4] = [faces, normals, exposure, parts];
+        recorder.dispatch(&self.face_parts, &self.part_params(light, exposure, n), &buffers, linear_groups(n, 64));
     }
 
-    fn part_params(&self, light: &Light, at: ExposureAt<'_>, n: usize) -> PartParams {
+    fn part_params(&self, light: &Light, exposure: &Buffer<f32>, n: usize) -> PartParams {
         let n_vertices = self.corner_starts.len() - 1;
-        let first = at.frame * n_vertices;
-        assert!(at.exposure.len() >= 2 * (first + n_vertices), "{}: length", at.exposure.label());
-        let (n, first_exposure) = (n as u32, first as u32);
-        PartParams { direction: light.direction, wrap: WRAP, slope: light.slope, n, first_exposure, unused: [0; 3] }
+        assert_eq!(exposure.len(), 2 * n_vertices, "{}: length", exposure.label());
+        PartParams { direction: light.direction, wrap: WRAP, slope: light.slope, n: n as u32 }
     }
 
     /// Records `face_normals [F, 3]` to `vertex_normals [V, 3]`.
@@ -161,13 +150,13 @@ impl Shading {
     /// Records the parts of the shade of the listed pixels, `[P, 2]`, by unit normals `[V, 3]` of the vertices.
     ///
     /// # Panics
-    /// When `parts` is shorter than the list can be.
+    /// When `parts` is shorter than the list can be, or the exposure is not that of the vertices.
     #[expect(clippy::too_many_arguments, reason = "the operands of the contract")]
     pub fn pixel_parts(
         &self,
         recorder: &mut Recorder<'_>,
         light: &Light,
-        at: ExposureAt<'_>,
+        exposure: &Buffer<f32>,
         list: &Interpolate,
         n_pixels: usize,
         pix_to_face: &Buffer<i32>,
@@ -179,7 +168,7 @@ impl Shading {
         let n_max = list.n_max(n_pixels);
         assert!(parts.len() >= 2 * n_max, "{}: length", parts.label());
         let buffers: [&dyn AnyBuffer; 8] =
-            [&list.count, &list.pixel_index, pix_to_face, bary_coords, faces, vertex_normals, at.exposure, parts];
-        list.over_list(recorder, &self.pixel_parts, &self.part_params(light, at, n_max), &buffers);
+            [&list.count, &list.pixel_index, pix_to_face, bary_coords, faces, vertex_normals, exposure, parts];
+        list.over_list(recorder, &self.pixel_parts, &self.part_params(light, exposure, n_max), &buffers);
     }
 }

@@ -10,7 +10,7 @@
 //! | buffer | shape | role |
 //! |---|---|---|
 //! | `normals` | `[R, 3]` | of any length; one without length is shaded by the ambient light alone, without its slope |
-//! | `exposure` | `[N, V, 2]` | of each vertex in each of N frames `open^occlusion` and `visible`, 0 to 1 |
+//! | `exposure` | `[V, 2]` | of each vertex in one frame `open^occlusion` and `visible`, 0 to 1 |
 //! | `parts` | `[R, 2]` | of the shade: `open^occlusion · (1 + n·slope)` and `visible · max(0, …)` of the formula; overwritten |
 //! | `count` | `[1]` u32 | how many rows are used, on the device |
 //! | `values`, `shaded` | `[R, 3]` | `shaded = values · (ambient · parts₀ + strength · parts₁)`, see [`Write`] |
@@ -30,7 +30,7 @@ mod gpu;
 pub mod occlusion;
 pub mod shadow;
 
-pub use gpu::{ExposureAt, ShadedRows, Shading, Write};
+pub use gpu::{ShadedRows, Shading, Write};
 
 /// How far the lamp reaches round the body, as the cosine beyond the terminator.
 pub const WRAP: f32 = 0.6;

@@ -1,4 +1,4 @@
-use super::{Exposure, ExposureAt, Light, ShadedRows, Shading, Write, cpu};
+use super::{Exposure, Light, ShadedRows, Shading, Write, cpu};
 use crate::ops::Topology;
 use crate::ops::interpolate::{Interpolate, Sampling};
 use crate::ops::testing::{assert_close, assert_gradient, gpu};
@@ -110,20 +110,28 @@ fn light_on_vertices_and_pixels_matches_the_twin() {
     let list = Interpolate::new(&gpu, 4, 4, 0);
     let (texcoords, parts) = (gpu.zeros::<f32>("texcoords", 12), gpu.zeros::<f32>("parts", 8));
     let face_parts = gpu.zeros::<f32>("face_parts", 4);
-    // The second of two frames.
     let open = [1.0f32, 0.8, 0.6, 0.4, 9.0];
     let visible = [1.0f32, 0.5, 0.25, 0.0, 9.0];
-    let second_frame = open.iter().zip(visible).flat_map(|(&open, visible)| [open, visible]);
-    let exposure: Vec<f32> = std::iter::repeat_n(9.0, 10).chain(second_frame).collect();
+    let exposure: Vec<f32> = open.iter().zip(visible).flat_map(|(&open, visible)| [open, visible]).collect();
     let exposure = gpu.upload("exposure", &exposure);
-    let at = ExposureAt { exposure: &exposure, frame: 1 };
     let values: Vec<f32> = (1..=12).map(|k| k as f32 * 0.1).collect();
     let (values, shaded) = (gpu.upload("values", &values), gpu.upload("shaded", &[9.0f32; 12]));
     let mut recorder = gpu.recorder("light/test");
     shading.vertex_normals(&mut recorder, &on_faces, &on_vertices);
     list.forward(&mut recorder, 4, &pix_to_face, &bary_coords, &faces, &texcoords, Sampling::ALL);
-    shading.face_parts(&mut recorder, &LIGHT, at, &faces, &on_faces, &face_parts);
-    shading.pixel_parts(&mut recorder, &LIGHT, at, &list, 4, &pix_to_face, &bary_coords, &faces, &on_vertices, &parts);
+    shading.face_parts(&mut recorder, &LIGHT, &exposure, &faces, &on_faces, &face_parts);
+    shading.pixel_parts(
+        &mut recorder,
+        &LIGHT,
+        &exposure,
+        &list,
+        4,
+        &pix_to_face,
+        &bary_coords,
+        &faces,
+        &on_vertices,
+        &parts,
+    );
     shading.apply(&mut recorder, &LIGHT, ShadedRows::Listed(&list, 4), &parts, &values, &shaded, Write::Over);
     recorder.submit().unwrap();
     let want = cpu::vertex_normals(&FACES, &face_normals, 5);
