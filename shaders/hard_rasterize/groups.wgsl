@@ -1,5 +1,5 @@
-// How many workgroups of 64 a list takes; see `linear_groups` of the host.
-const ROW: u32 = 32768u;
+// How many workgroups of 64 a list takes.
+#import shared/linear_groups
 
 struct Params {
     list: u32,
@@ -11,8 +11,8 @@ struct Params {
 
 @compute @workgroup_size(1)
 fn main() {
-    let n = (counts[params.list] + 63u) / 64u;
-    groups[3u * params.list] = min(n, ROW);
-    groups[3u * params.list + 1u] = (n + ROW - 1u) / ROW;
-    groups[3u * params.list + 2u] = 1u;
+    let spread = linear_groups((counts[params.list] + 63u) / 64u);
+    groups[3u * params.list] = spread[0];
+    groups[3u * params.list + 1u] = spread[1];
+    groups[3u * params.list + 2u] = spread[2];
 }

@@ -1,5 +1,7 @@
 // firsts[block] = listed pixels before the block; count = all of them, at most the list's capacity. One workgroup: an
 // invocation sums a run of blocks, then starts its run after all runs before.
+#import shared/linear_groups
+
 #const LANES: u32 = 256u
 
 struct Params {
@@ -33,11 +35,10 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     if lane == LANES - 1u {
         let listed = min(first + sum, params.capacity);
         count[0] = listed;
-        // See `linear_groups` of the host.
-        let n = (listed + 63u) / 64u;
-        workgroups[0] = min(n, 32768u);
-        workgroups[1] = (n + 32767u) / 32768u;
-        workgroups[2] = 1u;
+        let spread = linear_groups((listed + 63u) / 64u);
+        workgroups[0] = spread[0];
+        workgroups[1] = spread[1];
+        workgroups[2] = spread[2];
     }
     for (var block = begin; block < end; block++) {
         firsts[block] = first;

@@ -1,12 +1,11 @@
 // Pass 2, one workgroup: where each tile's list starts, which tiles have one, where each class of drawn faces starts, and how many
 // workgroups tiles and faces take, one each and at WORKGROUP each. Leaves `counts` zero for the next image.
+#import shared/linear_groups
 #import shared/soft_face
 
 #const LANES: u32 = 256u
 // Lanes whose sums are summed up first.
 const BLOCK: u32 = 32u;
-// Workgroups along x at most; see `linear_groups` of the host.
-const ROW: u32 = 32768u;
 
 @group(0) @binding(0) var<uniform> params: SoftParams;
 @group(0) @binding(1) var<storage, read_write> counts: array<u32>;
@@ -23,9 +22,10 @@ var<workgroup> classes: array<atomic<u32>, SIZES>;
 var<workgroup> face_classes: array<u32, SIZES>;
 
 fn write_workgroups(at: u32, n: u32) {
-    workgroups[at] = min(n, ROW);
-    workgroups[at + 1u] = (n + ROW - 1u) / ROW;
-    workgroups[at + 2u] = 1u;
+    let spread = linear_groups(n);
+    workgroups[at] = spread[0];
+    workgroups[at + 1u] = spread[1];
+    workgroups[at + 2u] = spread[2];
 }
 
 // Of WORKGROUP items each, see `dealt_item`.

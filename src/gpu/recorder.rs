@@ -30,10 +30,13 @@ impl<T> AnyBuffer for Buffer<T> {
     }
 }
 
+/// Workgroups along x at most: one axis has at most 65,535. `shared/linear_groups` of the shaders has the same.
+pub(super) const ROW: u32 = 32_768;
+
 /// Workgroups for `n` invocations of `workgroup_size`, spread over x and y (`shared/linear_index` reads them back).
 pub fn linear_groups(n: usize, workgroup_size: u32) -> [u32; 3] {
     let groups = n.div_ceil(workgroup_size as usize).max(1) as u32;
-    let x = groups.min(32_768);
+    let x = groups.min(ROW);
     [x, groups.div_ceil(x), 1]
 }
 

@@ -20,6 +20,7 @@ const SHARED: &[(&str, &str)] = &[
     ("shared/exact_sum", include_str!("../../shaders/shared/exact_sum.wgsl")),
     ("shared/hard_triangle", include_str!("../../shaders/shared/hard_triangle.wgsl")),
     ("shared/hash_grid", include_str!("../../shaders/shared/hash_grid.wgsl")),
+    ("shared/linear_groups", include_str!("../../shaders/shared/linear_groups.wgsl")),
     ("shared/linear_index", include_str!("../../shaders/shared/linear_index.wgsl")),
     ("shared/listed", include_str!("../../shaders/shared/listed.wgsl")),
     ("shared/owned_pixels", include_str!("../../shaders/shared/owned_pixels.wgsl")),
@@ -198,6 +199,13 @@ mod tests {
             }
         }
         assert!(failures.is_empty(), "{failures}");
+    }
+
+    /// The host and shaders both spread workgroups over x and y, and one reads back what the other spread.
+    #[test]
+    fn rows_of_workgroups_are_as_long_here_as_there() {
+        let (_, source) = SHARED.iter().find(|(name, _)| *name == "shared/linear_groups").unwrap();
+        assert!(source.contains(&format!("const ROW: u32 = {}u;", crate::gpu::recorder::ROW)), "{source}");
     }
 
     #[test]
