@@ -1,23 +1,17 @@
 // masks[block]: which of the block's 32 pixels have a face and are in the sample.
 #import shared/linear_index
 #import shared/listed
+#import shared/sample
 
 struct Params {
     n_pixels: u32,
     seed: u32,
-    threshold: u32, // a pixel is kept when its hash is at most this
+    threshold: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> pix_to_face: array<i32>;
 @group(0) @binding(2) var<storage, read_write> masks: array<u32>;
-
-// Two rounds of a PCG output permutation (Jarzynski & Olano 2020): every bit depends on pixel and seed.
-fn pcg(value: u32) -> u32 {
-    let state = value * 747796405u + 2891336453u;
-    let word = ((state >> ((state >> 28u) + 4u)) ^ state) * 277803737u;
-    return (word >> 22u) ^ word;
-}
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
@@ -29,7 +23,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) g
     let end = min(first + BLOCK, params.n_pixels);
     var mask = 0u;
     for (var i = first; i < end; i++) {
-        if pix_to_face[i] >= 0 && pcg(pcg(params.seed) + i) <= params.threshold {
+        if pix_to_face[i] >= 0 && is_sampled(i, params.seed, params.threshold) {
             mask |= 1u << (i - first);
         }
     }

@@ -7,5 +7,7 @@ struct RgbParams {
     blue: f32,
     composite: f32,
     lambda: f32,
-    unused: u32,
+    seed: u32,
+    threshold: u32,
+    one_stands_for: f32, // pixels, of which one is in the sample
 }

@@ -19,7 +19,7 @@ use super::soft::{SoftTerm, soft_params};
 use super::state::{FitState, Stage};
 use super::{FitError, Inputs};
 use crate::gpu::Recorder;
-use crate::ops::rgb_l1::RgbL1;
+use crate::ops::rgb_l1::{Pixels, RgbL1};
 
 /// Parameters and terms of a stage. What the stage does not weigh or move is absent.
 pub(super) struct StageWork<'a> {
@@ -102,7 +102,7 @@ impl<'a> StageWork<'a> {
     fn record_soft(&self, recorder: &mut Recorder<'_>, frame: &FrameStep<'_>) {
         let Some((soft, rgb)) = &self.soft else { return };
         let (scene, camera, n) = (self.scene, &frame.level.camera, frame.level.camera.n_pixels());
-        let (target, inside) = (frame.target(), Some(&frame.level.inside));
+        let (target, inside) = (frame.target(), Pixels::Listed(&frame.level.inside));
         let params = soft_params(scene, frame.phase, frame.frame, BACKGROUND);
         let (colours, grad_colours) = self.look.face_colours();
         soft.forward(recorder, &params, camera, scene, colours);

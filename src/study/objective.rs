@@ -8,7 +8,7 @@ use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::edge_gradient::{EdgeGradient, RgbGradient};
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
 use crate::ops::nmr::{Nmr, NmrConfig};
-use crate::ops::rgb_l1::RgbL1;
+use crate::ops::rgb_l1::{Pixels, RgbL1};
 use crate::ops::silhouette_iou::SilhouetteIou;
 use crate::ops::soft_rasterize::{SoftRasterizeParams, SoftRasterizer};
 use crate::ops::{Corners, LossSlot, PixelList, Target, pack_pixel};
@@ -155,7 +155,16 @@ impl ImageTerms {
         recorder.clear(&self.grad_alpha);
         self.iou.backward(recorder, n, target, part * self.objective.silhouette_weight, &self.grad_alpha);
         self.hard.shade(recorder, camera, face_colours, BACKGROUND, &self.image);
-        self.rgb.forward_backward(recorder, n, &self.image, target, None, slot(RGB), rgb_weight, &self.grad_image);
+        self.rgb.forward_backward(
+            recorder,
+            n,
+            &self.image,
+            target,
+            Pixels::All,
+            slot(RGB),
+            rgb_weight,
+            &self.grad_image,
+        );
         let rgb = RgbGradient { image: &self.image, grad_image: &self.grad_image };
         let rgb = self.objective.hard_rgb.then_some(rgb);
         let (hard, grad_alpha) = (&self.hard, &self.grad_alpha);
@@ -174,7 +183,7 @@ impl ImageTerms {
             ..SoftRasterizeParams::new(camera.width, camera.height)
         };
         // Outside the mask the blur of near faces would only pull the mesh inwards, against the silhouette.
-        let inside = Some(&view.inside);
+        let inside = Pixels::Listed(&view.inside);
         rasterizer.forward(recorder, &params, camera, points, face_colours, Some(&self.hard.zbuf));
         let Self { grad_soft, grad_face_colours, .. } = self;
         self.rgb.forward_backward(recorder, n, &rasterizer.rgb, target, inside, slot(RGB_SOFT), rgb_weight, grad_soft);

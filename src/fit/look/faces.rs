@@ -15,7 +15,7 @@ use crate::gpu::{Buffer, Recorder};
 use crate::ops::adam::AdamConfig;
 use crate::ops::edge_gradient::RgbGradient;
 use crate::ops::light::Write;
-use crate::ops::rgb_l1::RgbL1;
+use crate::ops::rgb_l1::{Pixels, RgbL1};
 
 /// Face colours with their image.
 pub struct FaceColours {
@@ -105,7 +105,7 @@ impl Look for FaceColours {
         let (colours, grad_colours) = self.face_colours();
         scene.hard.shade(recorder, camera, colours, BACKGROUND, image);
         let (slot, weight) = (losses.rgb_slot(frame.frame), frame.per_pixel(frame.weights.rgb));
-        self.rgb.forward_backward(recorder, n, image, target, None, slot, weight, grad_image);
+        self.rgb.forward_backward(recorder, n, image, target, Pixels::All, slot, weight, grad_image);
         scene.hard.shade_backward(recorder, camera, &scene.view, grad_image, grad_colours);
     }
 

@@ -24,7 +24,7 @@ use crate::ops::adam::AdamConfig;
 use crate::ops::edge_gradient::RgbGradient;
 use crate::ops::interpolate::{Interpolate, Sampling};
 use crate::ops::light::Write;
-use crate::ops::rgb_l1::RgbL1;
+use crate::ops::rgb_l1::{Pixels, RgbL1};
 
 /// A texture, its coordinates, and the way from them to pixels and back.
 pub struct Texture {
@@ -282,9 +282,10 @@ impl Look for Texture {
         };
         interpolate.scatter(recorder, n, shown, BACKGROUND, image);
 
-        let weight = frame.per_pixel(frame.weights.rgb) / rate;
+        let weight = frame.per_pixel(frame.weights.rgb);
         let slot = losses.rgb_slot(frame.frame);
-        self.rgb.forward_backward(recorder, n, image, target, Some(trusted), slot, weight, grad_image);
+        let pixels = Pixels::Sampled(trusted, sampling);
+        self.rgb.forward_backward(recorder, n, image, target, pixels, slot, weight, grad_image);
         match &self.lit {
             Some(LitTexture { lit, parts, grad_shaded, .. }) => {
                 interpolate.gather(recorder, n, grad_image, grad_shaded);

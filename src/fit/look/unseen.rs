@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use super::model::TextureModel;
 use crate::gpu::{Buffer, Gpu, Recorder};
 use crate::ops::interpolate::{Interpolate, Sampling};
-use crate::ops::rgb_l1::RgbL1;
+use crate::ops::rgb_l1::{Pixels, RgbL1};
 use crate::ops::{LossSlot, Target, pack_pixel};
 
 /// Pixels well inside the mask that have to show a face, over the clip, for its colour to be known, and their share of what a
@@ -187,7 +187,7 @@ impl Unseen {
         let target = Target::Packed { pixels: &self.target, offset: 0, background: None };
         let lambda = WEIGHT * weight / (*n as f64 * sampling.rate) as f32;
         let slot = LossSlot::new(&self.loss, 0);
-        self.rgb.forward_backward(recorder, *n, &self.image, target, None, slot, lambda, &self.grad_image);
+        self.rgb.forward_backward(recorder, *n, &self.image, target, Pixels::All, slot, lambda, &self.grad_image);
         interpolate.gather(recorder, *n, &self.grad_image, &self.grad_rgb);
         recorder.clear(&self.grad_coords);
         model.backward(recorder, &interpolate.coords, &interpolate.count, *n, &self.grad_rgb, &self.grad_coords);

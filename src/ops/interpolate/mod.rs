@@ -35,17 +35,17 @@ impl Sampling {
     pub const ALL: Self = Self { rate: 1.0, seed: 0 };
 
     /// The highest hash that is kept.
-    fn threshold(&self) -> u32 {
+    pub(super) fn threshold(&self) -> u32 {
         ((self.rate * 4_294_967_296.0).round().clamp(1.0, 4_294_967_296.0) as u64 - 1) as u32
     }
 
-    /// Whether a covered pixel is in the sample.
-    fn keeps(&self, pixel: u32) -> bool {
+    /// Whether a pixel is in the sample, if it is covered.
+    pub(super) fn keeps(&self, pixel: u32) -> bool {
         pcg(pcg(self.seed).wrapping_add(pixel)) <= self.threshold()
     }
 }
 
-/// As in `shaders/interpolate/mark.wgsl`.
+/// As in `shaders/shared/sample.wgsl`.
 fn pcg(value: u32) -> u32 {
     let state = value.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
     let word = ((state >> ((state >> 28) + 4)) ^ state).wrapping_mul(277_803_737);

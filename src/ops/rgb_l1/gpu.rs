@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::gpu::{AnyBuffer, Buffer, Gpu, Kernel, Recorder, linear_groups};
+use crate::ops::interpolate::Sampling;
 use crate::ops::reduce::Sum;
 use crate::ops::{LossSlot, PixelList, Target};
 
@@ -14,7 +15,20 @@ struct Params {
     background: [f32; 3],
     composite: f32,
     lambda: f32,
-    unused: u32,
+    seed: u32,
+    threshold: u32,
+    one_stands_for: f32,
+}
+
+/// The pixels that count.
+#[derive(Clone, Copy)]
+pub enum Pixels<'a> {
+    All,
+    /// With their weights.
+    Listed(&'a PixelList),
+    /// Of those the ones that the sampling keeps, each as much as the pixels that it stands for: an estimate of the loss of
+    /// all listed ones.
+    Sampled(&'a PixelList, Sampling),
 }
 
 /// The loss of images of up to `max_pixels`.
@@ -80,7 +94,7 @@ impl RgbL1 {
         self.record(recorder, &self.backward, n_pixels, image, target, weights, lambda, grad_image);
     }
 
-    /// Records the loss of all pixels, or of `pixels` alone, and `grad_image = λ ∂L/∂image` in one pass; what `grad_image`
+    /// Records the loss of `pixels` and `grad_image = λ ∂L/∂image` in one pass; what `grad_image`
     /// held is lost.
     ///
     /// # Panics
@@ -92,24 +106,30 @@ impl RgbL1 {
         n_pixels: usize,
         image: &Buffer<f32>,
         target: Target<'_>,
-        pixels: Option<&PixelList>,
+        pixels: Pixels<'_>,
         loss: LossSlot<'_>,
         lambda: f32,
         grad_image: &Buffer<f32>,
     ) {
         assert!(n_pixels <= self.values.len(), "rgb_l1: {n_pixels} pixels");
         assert!(grad_image.len() >= n_pixels * 3, "{}: length", grad_image.label());
-        let n_rows = pixels.map_or(n_pixels, PixelList::len);
-        if pixels.is_some() {
+        let (list, sampling) = match pixels {
+            Pixels::All => (None, Sampling::ALL),
+            Pixels::Listed(list) => (Some(list), Sampling::ALL),
+            Pixels::Sampled(list, sampling) => (Some(list), sampling),
+        };
+        let n_rows = list.map_or(n_pixels, PixelList::len);
+        if list.is_some() {
             recorder.clear(grad_image);
         }
         if n_rows == 0 {
             return;
         }
         assert!(image.len() >= n_pixels * 3, "{}: length", image.label());
-        let (seen, values, params) = (target.buffer(n_pixels, 3), &self.values, params(n_rows, target, lambda));
+        let (seen, values, params) =
+            (target.buffer(n_pixels, 3), &self.values, params(n_rows, target, lambda, sampling));
         let packed = usize::from(target.is_packed());
-        match pixels {
+        match list {
             Some(PixelList { index, weight, .. }) => {
                 let kernel = &self.listed[packed][usize::from(weight.is_some())];
                 // Without weights the kernel reads nothing there.
@@ -142,17 +162,24 @@ impl RgbL1 {
         let kernel = &kernels[usize::from(target.is_packed())][usize::from(weights.is_some())];
         // Without weights the kernel reads nothing there.
         let buffers: [&dyn AnyBuffer; 4] = [image, target.buffer(n_pixels, 3), weights.unwrap_or(image), out];
-        recorder.dispatch(kernel, &params(n_pixels, target, lambda), &buffers, linear_groups(n_pixels, 64));
+        recorder.dispatch(
+            kernel,
+            &params(n_pixels, target, lambda, Sampling::ALL),
+            &buffers,
+            linear_groups(n_pixels, 64),
+        );
     }
 }
 
-fn params(n_rows: usize, target: Target<'_>, lambda: f32) -> Params {
+fn params(n_rows: usize, target: Target<'_>, lambda: f32, sampling: Sampling) -> Params {
     Params {
         n_pixels: n_rows as u32,
         offset: target.offset(),
         background: target.background().unwrap_or_default(),
         composite: if target.background().is_some() { 1.0 } else { 0.0 },
         lambda,
-        unused: 0,
+        seed: sampling.seed,
+        threshold: sampling.threshold(),
+        one_stands_for: 1.0 / sampling.rate as f32,
     }
 }

@@ -9,12 +9,12 @@
 //!
 //! `forward_backward` does both in one pass, over all pixels with weight one or over listed ones with the weights of their
 //! [`PixelList`](crate::ops::PixelList), and, against the rule, overwrites `grad_image`: nothing has to be read first. Pixels
-//! that are not listed do not count.
+//! that are not listed do not count. Of a sample of the listed ones both are estimates: a kept pixel counts 1 / rate times.
 
 pub mod cpu;
 mod gpu;
 
-pub use gpu::RgbL1;
+pub use gpu::{Pixels, RgbL1};
 
 #[cfg(test)]
 mod tests;

@@ -1,5 +1,6 @@
-use super::{RgbL1, cpu};
+use super::{Pixels, RgbL1, cpu};
 use crate::gpu::Gpu;
+use crate::ops::interpolate::Sampling;
 use crate::ops::testing::{GRADIENT, VALUE, assert_close, assert_gradient, f32s, golden, gpu, noise};
 use crate::ops::{LossSlot, PixelList, Target, pack_pixel};
 
@@ -78,7 +79,7 @@ fn a_packed_target_is_composited_over_the_background() {
 }
 
 /// The device's loss and gradient in one pass; the gradient overwrites sevens.
-fn in_one_pass(gpu: &Gpu, image: &[f64], target: Target<'_>, pixels: Option<&PixelList>) -> (f32, Vec<f32>) {
+fn in_one_pass(gpu: &Gpu, image: &[f64], target: Target<'_>, pixels: Pixels<'_>) -> (f32, Vec<f32>) {
     let n = image.len() / 3;
     let (losses, grad) = (gpu.zeros("losses", 2), gpu.upload("grad_both", &vec![7.0f32; n * 3]));
     let (op, image) = (RgbL1::new(gpu, n), gpu.upload("image", &f32s(image)));
@@ -102,12 +103,12 @@ fn one_pass_over_all_or_listed_pixels_is_as_two_with_weights() {
             let (loss, grad) = on_gpu(&gpu, &image, target, Some(&weights), 0.5);
             let pixels = PixelList::new(&gpu, "pixels", (0..n).map(chosen));
             assert_eq!(pixels.len(), (0..n).filter(|&i| chosen(i)).count());
-            let (loss_both, grad_both) = in_one_pass(&gpu, &image, target, Some(&pixels));
+            let (loss_both, grad_both) = in_one_pass(&gpu, &image, target, Pixels::Listed(&pixels));
             assert_close("loss", &[loss_both], &[loss], 1e-5);
             assert_close("grad_image", &grad_both, &grad, 1e-6);
         }
         let (loss, grad) = on_gpu(&gpu, &image, target, None, 0.5);
-        let (loss_both, grad_both) = in_one_pass(&gpu, &image, target, None);
+        let (loss_both, grad_both) = in_one_pass(&gpu, &image, target, Pixels::All);
         assert_close("loss", &[loss_both], &[loss], 1e-5);
         assert_close("grad_image", &grad_both, &grad, 1e-6);
     }
@@ -123,7 +124,32 @@ fn listed_pixels_count_by_their_weights() {
     let (loss, grad) = on_gpu(&gpu, &image, Target::Values(&target), Some(&weights), 0.5);
     let pixels = PixelList::weighted(&gpu, "pixels", &f32s(&weights));
     assert_eq!(pixels.len(), weights.iter().filter(|w| **w > 0.0).count());
-    let (loss_both, grad_both) = in_one_pass(&gpu, &image, Target::Values(&target), Some(&pixels));
+    let (loss_both, grad_both) = in_one_pass(&gpu, &image, Target::Values(&target), Pixels::Listed(&pixels));
     assert_close("loss", &[loss_both], &[loss], 1e-5);
     assert_close("grad_image", &grad_both, &grad, 1e-6);
+}
+
+/// Pixels that are not in the sample are black in the image, since nobody has shaded them: how dark the target is there must
+/// not count.
+#[test]
+fn a_sample_tells_the_loss_of_all() {
+    let Some(gpu) = gpu("rgb_l1::a_sample_tells_the_loss_of_all") else { return };
+    let (n, sampling) = (4000, Sampling { rate: 0.4, seed: 5 });
+    let kept: Vec<bool> = (0..n as u32).map(|i| sampling.keeps(i)).collect();
+    let target: Vec<f64> = noise(n * 3, 12).iter().map(|x| 0.5 + 0.4 * x).collect();
+    let off = noise(n * 3, 13);
+    let whole: Vec<f64> = target.iter().zip(&off).map(|(t, off)| t + 0.1 * off).collect();
+    let shaded: Vec<f64> = whole.iter().enumerate().map(|(k, x)| if kept[k / 3] { *x } else { 0.0 }).collect();
+    let weights: Vec<f64> = noise(n, 14).iter().map(|w| w.max(0.0)).collect();
+    let pixels = PixelList::weighted(&gpu, "pixels", &f32s(&weights));
+    let seen = gpu.upload("target", &f32s(&target));
+    let seen = Target::Values(&seen);
+    let (all, _) = in_one_pass(&gpu, &whole, seen, Pixels::Listed(&pixels));
+    let (told, grad) = in_one_pass(&gpu, &shaded, seen, Pixels::Sampled(&pixels, sampling));
+    assert!((told / all - 1.0).abs() < 0.05, "{told} for {all}");
+    let counted: Vec<f64> = weights.iter().zip(&kept).map(|(w, kept)| if *kept { w / 0.4 } else { 0.0 }).collect();
+    let mut want = vec![0.0; n * 3];
+    cpu::backward(&shaded, &target, Some(&counted), 0.5, &mut want);
+    assert_close("loss", &[told], &[cpu::forward(&shaded, &target, Some(&counted))], 1e-5);
+    assert_close("grad_image", &grad, &want, 1e-5);
 }
