@@ -192,9 +192,17 @@ struct Room {
 
 impl Room {
     const PIXELS: u64 = 400_000_000;
+    /// Of one frame: at 16 bytes each what the smallest allowed binding of a device holds.
+    const FRAME_PIXELS: u64 = 8_000_000;
 
     fn take(&mut self, frame: &Frame) -> Result<(), BadInput> {
-        self.pixels += u64::from(frame.width) * u64::from(frame.height);
+        let pixels = u64::from(frame.width) * u64::from(frame.height);
+        if pixels > Self::FRAME_PIXELS {
+            let message = format!("the person takes up {}×{} pixels", frame.width, frame.height);
+            let expected = format!("at most {} million; a smaller `max_side_px`", Self::FRAME_PIXELS / 1_000_000);
+            return Err(BadInput::new(Part::Video, message, expected).at(frame.index as usize));
+        }
+        self.pixels += pixels;
         if self.pixels <= Self::PIXELS {
             return Ok(());
         }
@@ -449,6 +457,21 @@ mod tests {
         assert_eq!(subsample(10, 4), [0, 2, 5, 7]);
         assert_eq!(subsample(10, 0), [0]);
         assert!(subsample(0, 4).is_empty());
+    }
+
+    #[test]
+    fn people_have_room_up_to_a_size_and_a_sum() {
+        let (rgb, mask, keypoints) = (Vec::new(), Vec::new(), Vec::new());
+        let empty = Frame { index: 7, x0: 0, y0: 0, width: 0, height: 0, rgb, mask, keypoints };
+        let frame = |width, height| Frame { width, height, ..empty.clone() };
+        let mut room = Room::default();
+        for _ in 0..50 {
+            room.take(&frame(2000, 4000)).unwrap();
+        }
+        let message = room.take(&frame(2000, 4000)).unwrap_err().to_string();
+        assert!(message.contains("400 million") && message.contains("max_frames"), "{message}");
+        let message = Room::default().take(&frame(2001, 4000)).unwrap_err().to_string();
+        assert!(message.contains("2001×4000") && message.contains("8 million"), "{message}");
     }
 
     #[test]

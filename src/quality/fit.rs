@@ -69,13 +69,19 @@ pub fn fit_flags(found: &FitFindings<'_>) -> Vec<Flag> {
     flags.into_iter().flatten().collect()
 }
 
-/// Degrees of the circle that the person's facings cover: 360 without the largest gap between neighbouring facings, as far as
-/// it is larger than the usual one.
-pub fn turn_coverage_degrees(poses: &[[f32; 72]]) -> f64 {
+/// Facings this far apart say nothing of what lies between them.
+const WIDEST_USUAL_GAP_DEGREES: f64 = 45.0;
+
+/// Degrees of the circle that the person's facings, as the camera sees them, cover: 360 without the largest gap between
+/// neighbouring facings, as far as it is larger than the usual one.
+pub fn turn_coverage_degrees(poses: &[[f32; 72]], camera: &Camera) -> f64 {
+    // The world's axes may lie in any way, the camera stands upright.
+    let [xx, xy, xz, _, _, _, zx, zy, zz] = camera.rotation.map(|x| x as f32);
     let facing = |pose: &[f32; 72]| {
         let root = glam::Quat::from_scaled_axis(glam::Vec3::new(pose[0], pose[1], pose[2]));
         let ahead = root * glam::Vec3::Z;
-        f64::from(ahead.x.atan2(ahead.z)).to_degrees().rem_euclid(360.0)
+        let ahead = glam::Vec2::new(glam::Vec3::new(xx, xy, xz).dot(ahead), glam::Vec3::new(zx, zy, zz).dot(ahead));
+        f64::from(ahead.x.atan2(ahead.y)).to_degrees().rem_euclid(360.0)
     };
     let mut facings: Vec<f64> = poses.iter().map(facing).collect();
     facings.sort_by(f64::total_cmp);
@@ -84,12 +90,12 @@ pub fn turn_coverage_degrees(poses: &[[f32; 72]]) -> f64 {
     gaps.push(first + 360.0 - last);
     let largest = gaps.iter().copied().fold(0.0, f64::max);
     // Facings are samples of a turn: between two of them lies what either nearly shows.
-    let usual = 360.0 / facings.len() as f64;
+    let usual = (360.0 / facings.len() as f64).min(WIDEST_USUAL_GAP_DEGREES);
     (360.0 - (largest - usual).max(0.0)).clamp(0.0, 360.0)
 }
 
 fn no_full_turn(found: &FitFindings<'_>) -> Option<Flag> {
-    let covered = turn_coverage_degrees(found.poses);
+    let covered = turn_coverage_degrees(found.poses, found.camera);
     let message = format!("the person turned through {covered:.0} of 360 degrees");
     (covered < FULL_TURN_DEGREES).then(|| Flag::of_clip(Kind::NoFullTurn, message, covered, FULL_TURN_DEGREES))
 }
@@ -186,10 +192,24 @@ mod tests {
 
     #[test]
     fn coverage_is_what_the_facings_leave_no_gap_in() {
-        assert_eq!(turn_coverage_degrees(&[]), 0.0);
-        for (n, degrees, want) in [(60, 360.0, 360.0), (60, 270.0, 271.5), (8, 360.0, 360.0), (60, 540.0, 360.0)] {
-            let covered = turn_coverage_degrees(&turn(n, degrees));
-            assert!((covered - want).abs() < 4.0, "{n} frames over {degrees}: {covered}");
+        let camera = Camera::pinhole(360, 640, [700.0, 700.0, 180.0, 320.0]);
+        // z points up, and the camera looks along y.
+        let z_up = Camera { rotation: [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0], ..camera.clone() };
+        let to_world = glam::Quat::from_rotation_x(-std::f32::consts::FRAC_PI_2);
+        assert_eq!(turn_coverage_degrees(&[], &camera), 0.0);
+        let many = [(60, 360.0, 360.0), (60, 270.0, 271.5), (8, 360.0, 360.0), (60, 540.0, 360.0)];
+        for (n, degrees, want) in many.into_iter().chain([(1, 360.0, 45.0), (2, 360.0, 225.0)]) {
+            let poses = turn(n, degrees);
+            let turned = |pose: &[f32; 72]| {
+                let root = glam::Quat::from_scaled_axis(glam::Vec3::new(pose[0], pose[1], pose[2]));
+                let mut pose = *pose;
+                pose[..3].copy_from_slice(&(to_world * root).to_scaled_axis().to_array());
+                pose
+            };
+            let in_world: Vec<[f32; 72]> = poses.iter().map(turned).collect();
+            for covered in [turn_coverage_degrees(&poses, &camera), turn_coverage_degrees(&in_world, &z_up)] {
+                assert!((covered - want).abs() < 4.0, "{n} frames over {degrees}: {covered}");
+            }
         }
     }
 

@@ -56,9 +56,9 @@ impl<'a> PosedClip<'a> {
     }
 }
 
-/// Casts the shadows of `lit`'s lamp for the scene's shape in the poses as they are. Waits.
+/// Finds what of `lit`'s light reaches the scene's shape in the poses as they are. Waits.
 pub fn cast_shadows(scene: &Scene, faces: &[[u32; 3]], lit: &mut Lit, poses: &PoseGroups) -> Result<(), GpuError> {
-    if !lit.light.has_lamp() {
+    if !lit.light.has_lamp() && lit.light.occlusion == 0.0 {
         return Ok(());
     }
     let mut clip = PosedClip::new(faces);
