@@ -9,10 +9,10 @@ use tokio::sync::{Semaphore, watch};
 
 use super::access::Access;
 use super::pace::Pace;
-use super::uploads::{Leaps, Turns};
+use super::uploads::Turns;
 use crate::jobs::render::Renderer;
 use crate::jobs::webhooks::Webhooks;
-use crate::jobs::{Clip, Env, JobOptions, Queue};
+use crate::jobs::{Clip, Env, JobOptions, Leaps, Queue};
 use crate::storage::Store;
 
 /// The parts of an upload as files.
@@ -103,6 +103,7 @@ pub struct App {
     pub(super) inspections: Arc<Semaphore>,
     pub(super) keys: Arc<KeyLocks>,
     pub(super) uploads: Arc<Turns>,
+    /// Of the wall clock, for the age of uploads.
     pub(super) leaps: Arc<Leaps>,
     /// Id of the newest event, and the end of the server: what event streams wait for.
     pub(super) feed: watch::Sender<Feed>,

@@ -8,6 +8,7 @@ pub(crate) mod conformance;
 mod env;
 mod job;
 pub mod keys;
+mod leaps;
 mod options;
 mod queue;
 pub mod render;
@@ -19,6 +20,7 @@ pub use job::{
     Avatar, AvatarFile, Clip, Event, EventKind, Insertion, Job, JobError, Losses, NewAvatar, NewJob, Part, Remember,
     Remembered, State,
 };
+pub use leaps::Leaps;
 pub use options::{JobOptions, OptionsError, Preset};
 pub use queue::{
     Change, Deletion, Figures, Lease, ListFilter, Policy, ProgressReport, Queue, QueueError, Reaped, Repeat, StageTime,

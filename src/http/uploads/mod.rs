@@ -4,12 +4,10 @@
 //! An upload is in the store (`storage/resumable.rs`), so it outlives the server. A job is made of finished uploads by
 //! their ids (`jobs/create.rs`), which uses them up.
 
+mod expiry;
 mod headers;
 mod piece;
 mod turns;
-
-use std::sync::Mutex;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use axum::extract::{DefaultBodyLimit, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
@@ -23,9 +21,12 @@ use super::App;
 use super::access::{BytesLeft, Caller};
 use super::error::{ApiError, Problem};
 use super::extract::{parse_id, unknown};
-use crate::jobs::{Env, QueueError};
+use crate::jobs::QueueError;
 use crate::storage::{AboutUpload, ResumableUpload};
 
+use expiry::{expires, wall_clock};
+
+pub(super) use expiry::sweep;
 pub(super) use turns::{Turn, Turns};
 
 const VERSION: HeaderValue = HeaderValue::from_static("1.0.0");
@@ -128,7 +129,7 @@ async fn begin(State(app): State<App>, caller: Caller, given: HeaderMap) -> Resu
     });
     begun.await.map_err(ApiError::internal)??;
     let location = [(header::LOCATION, format!("/v1/uploads/{id}"))];
-    let expires = [(headers::EXPIRES, expires(limits.upload_ttl, SystemTime::now()))];
+    let expires = [(headers::EXPIRES, expires(&app, wall_clock(&app)))];
     Ok((StatusCode::CREATED, location, expires).into_response())
 }
 
@@ -194,7 +195,7 @@ async fn look(State(app): State<App>, caller: Caller, Path(id): Path<String>) ->
     answer.insert(headers::OFFSET, upload.offset.into());
     answer.insert(headers::LENGTH, upload.about.bytes.into());
     answer.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    answer.insert(headers::EXPIRES, headers::text(&expires(app.limits.upload_ttl, upload.touched)));
+    answer.insert(headers::EXPIRES, headers::text(&expires(&app, upload.touched)));
     if let Some(metadata) = &upload.about.metadata {
         answer.insert(headers::METADATA, headers::text(metadata));
     }
@@ -239,8 +240,7 @@ async fn append(
 ) -> Result<Response, ApiError> {
     let (upload, turn) = take(&app, &caller, &id).await?;
     let offset = piece::append(&app.store, &upload, turn, request).await?;
-    let told =
-        [(headers::OFFSET, offset.to_string()), (headers::EXPIRES, expires(app.limits.upload_ttl, SystemTime::now()))];
+    let told = [(headers::OFFSET, offset.to_string()), (headers::EXPIRES, expires(&app, wall_clock(&app)))];
     Ok((StatusCode::NO_CONTENT, told).into_response())
 }
 
@@ -310,84 +310,4 @@ pub(super) fn read_headers(given: &HeaderMap) {
         assert_eq!(headers::text(&metadata), metadata.as_str(), "it is given back as it came");
     }
     let _ = piece::names_checksum(given);
-}
-
-fn expires(ttl: Duration, touched: SystemTime) -> String {
-    httpdate::fmt_http_date(touched + ttl)
-}
-
-/// How often uploads are looked through for those that nobody goes on with.
-const SWEEP: Duration = Duration::from_secs(60);
-
-/// Removes uploads for which nothing came for so long that they have expired. For ever.
-pub(super) async fn sweep(app: App) {
-    loop {
-        app.expire_uploads().await;
-        tokio::time::sleep(SWEEP.min(app.limits.upload_ttl)).await;
-    }
-}
-
-impl App {
-    /// One look through the uploads.
-    pub async fn expire_uploads(&self) {
-        if let Some(leap_ms) = self.leaps.since_last_look(&self.env) {
-            let (store, now) = (self.store.clone(), wall_clock(self));
-            let moved = tokio::task::spawn_blocking(move || store.move_resumables(leap_ms, now)).await;
-            if let Err(error) = moved.unwrap_or_else(|panic| Err(panic.into())) {
-                tracing::warn!(%error, "an upload may expire at another time than was told");
-            }
-        }
-        let store = self.store.clone();
-        match tokio::task::spawn_blocking(move || store.resumable_ids()).await {
-            Ok(Ok(ids)) => {
-                for id in ids {
-                    if let Err(error) = expire(self, id).await {
-                        tracing::warn!(upload = %id, %error, "an expired upload stays");
-                    }
-                }
-            }
-            Ok(Err(error)) => tracing::warn!(%error, "the uploads cannot be looked through"),
-            Err(error) => tracing::error!(%error, "looking through the uploads panicked"),
-        }
-    }
-}
-
-fn wall_clock(app: &App) -> SystemTime {
-    UNIX_EPOCH + Duration::from_millis(app.env.now().0.max(0) as u64)
-}
-
-/// Tells leaps of the wall clock.
-#[derive(Default)]
-pub(super) struct Leaps(Mutex<Option<i64>>);
-
-/// Less is no leap.
-const LEAP_MS: i64 = 5_000;
-
-impl Leaps {
-    /// By how much the wall clock has moved beyond the time that passed, where that is much.
-    fn since_last_look(&self, env: &Env) -> Option<i64> {
-        let offset = env.now().0 - env.steady()?.ms;
-        let before = self.0.lock().unwrap().replace(offset)?;
-        Some(offset - before).filter(|leap| leap.abs() >= LEAP_MS)
-    }
-}
-
-async fn expire(app: &App, id: Uuid) -> Result<(), ApiError> {
-    let now = wall_clock(app);
-    // An upload whose last bytes are of the future is young: the clock was set back.
-    let is_old = || match app.store.resumable_touched(id) {
-        Ok(touched) => now.duration_since(touched).is_ok_and(|age| age > app.limits.upload_ttl),
-        Err(_) => false,
-    };
-    // The look itself cuts nobody off: whoever still sends has touched it.
-    if !is_old() {
-        return Ok(());
-    }
-    let _turn = app.uploads.take(id).await?;
-    if is_old() {
-        let store = app.store.clone();
-        tokio::task::spawn_blocking(move || store.remove_resumable(id)).await.map_err(ApiError::internal)??;
-        tracing::info!(upload = %id, "an upload has expired");
-    }
-    Ok(())
 }

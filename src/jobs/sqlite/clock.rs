@@ -8,11 +8,10 @@
 
 use sqlx::Row;
 
+use super::super::leaps::LEAP_MS;
 use super::super::{QueueError, Steady};
 use super::{SqliteQueue, Tx};
 
-/// A smaller difference is left alone until it has grown: leases are a minute long.
-const LEAP_MS: i64 = 5_000;
 /// The time seen is written down at least this often.
 const SEEN_MS: i64 = 60_000;
 

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use effigy::http::Pace;
-use effigy::jobs::{ManualClock, Timestamp};
+use effigy::jobs::{Clock, ManualClock, SystemClock, Timestamp};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use sha1::Sha1;
@@ -133,9 +133,20 @@ async fn room_that_was_promised_is_not_promised_again() {
 }
 
 #[tokio::test]
+async fn the_end_of_an_upload_is_told_by_the_service_s_clock() {
+    let clock = ManualClock::new(Timestamp(1_700_000_000_000));
+    let limits = Limits { upload_ttl: Duration::from_secs(3600), ..Limits::default() };
+    let bench = Bench::with(limits, Policy::default(), 0, Env::new(clock.clone(), 1)).await;
+    let begun = bench.call(Method::POST, "/v1/uploads", &[TUS, ("upload-length", "10")], Body::empty()).await;
+    assert_eq!(begun.header("upload-expires"), "Tue, 14 Nov 2023 23:13:20 GMT");
+    clock.advance(Duration::from_secs(60));
+    let piece = bench.patch(begun.header("location"), 0, &[], b"12345").await;
+    assert_eq!(piece.header("upload-expires"), "Tue, 14 Nov 2023 23:14:20 GMT");
+}
+
+#[tokio::test]
 async fn what_nobody_goes_on_with_expires() {
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
-    let clock = ManualClock::new(Timestamp(now.as_millis() as i64));
+    let clock = ManualClock::new(SystemClock.now());
     let limits = Limits { upload_ttl: Duration::from_secs(3600), ..Limits::default() };
     let bench = Bench::with(limits, Policy::default(), 0, Env::new(clock.clone(), 1)).await;
     let path = bench.begin(10).await;
@@ -152,9 +163,8 @@ async fn what_nobody_goes_on_with_expires() {
 #[tokio::test]
 async fn an_upload_keeps_its_age_when_the_wall_clock_is_set() {
     for forward in [true, false] {
-        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
         // Files have the system's time; what the test does takes less than the seconds that the clock is ahead.
-        let clock = ManualClock::new(Timestamp(now.as_millis() as i64 + 60_000));
+        let clock = ManualClock::new(SystemClock.now().plus(Duration::from_secs(60)));
         let limits = Limits { upload_ttl: Duration::from_secs(3600), ..Limits::default() };
         let bench = Bench::with(limits, Policy::default(), 0, Env::new(clock.clone(), 1)).await;
         let path = bench.begin(10).await;
