@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, bail};
+use effigy::capture::CaptureInputs;
 use effigy::data_dir::data_dir;
 use effigy::fingerprint::Fingerprint;
 use effigy::gpu::{DeviceSelect, Gpu};
@@ -92,7 +93,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 /// Leaves `work` to go on from only where this very program has made it of these inputs and options, and otherwise empty.
 fn begin_anew_for_others(work: &Path, input: &PipelineInput) -> anyhow::Result<()> {
     let mut made_of = Fingerprint::of_program()?.with_text(&serde_json::to_string(&input.options)?);
-    for part in [&input.video, &input.masks, &input.keypoints].into_iter().chain(&input.camera).chain(&input.poses) {
+    let files = &input.files;
+    for part in [&files.video, &files.masks, &files.keypoints].into_iter().chain(&files.camera).chain(&files.poses) {
         made_of = made_of.with_file(part).with_context(|| part.display().to_string())?;
     }
     let made_of = made_of.with_body(&input.options.body)?.digits();
@@ -138,14 +140,14 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
     let needed = |given: &Option<PathBuf>, name: &str| -> anyhow::Result<PathBuf> {
         part(given, name)?.with_context(|| format!("{name}: give a clip's folder, or --{name} FILE"))
     };
-    Ok(PipelineInput {
+    let files = CaptureInputs {
         video: needed(&args.video, "video")?,
         masks: needed(&args.masks, "masks")?,
         keypoints: needed(&args.keypoints, "keypoints")?,
         camera: part(&args.camera, "camera")?,
         poses: args.poses.clone(),
-        options,
-    })
+    };
+    Ok(PipelineInput { files, options })
 }
 
 /// The file `name.*` of a folder.
@@ -225,14 +227,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
         ["video", "masks", "keypoints"].iter().for_each(|name| std::fs::write(file(name), name).unwrap());
-        let mut input = PipelineInput {
+        let files = CaptureInputs {
             video: file("video"),
             masks: file("masks"),
             keypoints: file("keypoints"),
             camera: None,
             poses: None,
-            options: JobOptions::default(),
         };
+        let mut input = PipelineInput { files, options: JobOptions::default() };
         let work = file("work");
         // As an older version left it.
         std::fs::create_dir(&work).unwrap();

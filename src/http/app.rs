@@ -1,7 +1,6 @@
 //! What the handlers share.
 
 use std::collections::HashMap;
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -10,20 +9,11 @@ use tokio::sync::{Semaphore, watch};
 use super::access::Access;
 use super::pace::Pace;
 use super::uploads::Turns;
+use crate::capture::CaptureInputs;
 use crate::jobs::render::Renderer;
 use crate::jobs::webhooks::Webhooks;
 use crate::jobs::{Clip, Env, JobOptions, Leaps, Queue};
 use crate::storage::Store;
-
-/// The parts of an upload as files.
-#[derive(Clone, Debug)]
-pub struct UploadedFiles {
-    pub video: PathBuf,
-    pub masks: PathBuf,
-    pub keypoints: PathBuf,
-    pub camera: Option<PathBuf>,
-    pub poses: Option<PathBuf>,
-}
 
 /// Why an upload is not accepted.
 #[derive(Debug, thiserror::Error)]
@@ -37,7 +27,7 @@ pub enum InspectError {
 
 /// Looks through an upload before its job is accepted. Blocks.
 pub trait Inspector: Send + Sync + 'static {
-    fn inspect(&self, files: &UploadedFiles, options: &JobOptions) -> Result<Clip, InspectError>;
+    fn inspect(&self, files: &CaptureInputs, options: &JobOptions) -> Result<Clip, InspectError>;
 }
 
 /// Sizes beyond which a request is refused.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::app::{InspectError, Inspector, UploadedFiles};
+use super::app::{InspectError, Inspector};
 use crate::capture::{self, CaptureError, CaptureInputs};
 use crate::jobs::{Clip, JobOptions};
 use crate::storage::Store;
@@ -13,16 +13,9 @@ pub struct ClipInspector {
 }
 
 impl Inspector for ClipInspector {
-    fn inspect(&self, files: &UploadedFiles, options: &JobOptions) -> Result<Clip, InspectError> {
+    fn inspect(&self, files: &CaptureInputs, options: &JobOptions) -> Result<Clip, InspectError> {
         self.check_body(&options.body)?;
-        let inputs = CaptureInputs {
-            video: files.video.clone(),
-            masks: files.masks.clone(),
-            keypoints: files.keypoints.clone(),
-            camera: files.camera.clone(),
-            poses: files.poses.clone(),
-        };
-        let found = capture::inspect(&inputs).map_err(|error| match error {
+        let found = capture::inspect(files).map_err(|error| match error {
             CaptureError::Bad(bad) => InspectError::Bad {
                 part: bad.part.to_string(),
                 frame: bad.frame,

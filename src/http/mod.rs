@@ -42,7 +42,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 pub use access::{Access, Openness};
-pub use app::{App, InspectError, Inspector, Limits, UploadedFiles};
+pub use app::{App, InspectError, Inspector, Limits};
 pub use inspector::ClipInspector;
 pub use pace::Pace;
 pub use server::serve;

@@ -12,7 +12,6 @@ mod run;
 mod score;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::camera::Camera;
@@ -25,25 +24,8 @@ pub use run::run;
 /// The files of a clip and what is asked of its fit.
 #[derive(Clone, Debug)]
 pub struct PipelineInput {
-    pub video: PathBuf,
-    pub masks: PathBuf,
-    pub keypoints: PathBuf,
-    pub camera: Option<PathBuf>,
-    pub poses: Option<PathBuf>,
+    pub files: CaptureInputs,
     pub options: JobOptions,
-}
-
-impl PipelineInput {
-    /// The clip's files, without the options.
-    pub fn capture_inputs(&self) -> CaptureInputs {
-        CaptureInputs {
-            video: self.video.clone(),
-            masks: self.masks.clone(),
-            keypoints: self.keypoints.clone(),
-            camera: self.camera.clone(),
-            poses: self.poses.clone(),
-        }
-    }
 }
 
 /// The stages of a job, in order.

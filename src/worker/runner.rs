@@ -13,7 +13,7 @@ use super::claims::Hung;
 use super::device_thread::{Control, DeviceThread};
 use super::engine::FitTask;
 use super::pipeline::{Outcome, PipelineError, PipelineInput, Preview, Progress, StopReason};
-use crate::capture::CaptureError;
+use crate::capture::{CaptureError, CaptureInputs};
 use crate::jobs::{AvatarFile, Job, JobError, Lease, NewAvatar, ProgressReport, Queue, QueueError, Repeat, Standing};
 use crate::storage::{Published, Store};
 
@@ -90,11 +90,13 @@ impl Runner {
         let part = |name: &str| job.inputs.contains_key(name).then(|| inputs.join(name));
         let task = FitTask {
             input: PipelineInput {
-                video: inputs.join("video"),
-                masks: inputs.join("masks"),
-                keypoints: inputs.join("keypoints"),
-                camera: part("camera"),
-                poses: part("poses"),
+                files: CaptureInputs {
+                    video: inputs.join("video"),
+                    masks: inputs.join("masks"),
+                    keypoints: inputs.join("keypoints"),
+                    camera: part("camera"),
+                    poses: part("poses"),
+                },
                 options: job.options.clone(),
             },
             data_dir: self.store.root().into(),

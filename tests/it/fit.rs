@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use effigy::avatar::{AvatarModel, RenderSpec, Renderer, UvLayout};
 use effigy::body::Body;
-use effigy::capture::{Capture, CaptureOptions};
+use effigy::capture::{Capture, CaptureInputs, CaptureOptions};
 use effigy::eval::{SynthOptions, synthesise};
 use effigy::fit::stage0::{self, Stage0Options};
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport, Texels};
@@ -44,14 +44,15 @@ pub fn clip(gpu: &Arc<Gpu>) -> &'static Path {
 
 pub fn input(clip: &Path) -> PipelineInput {
     let file = |name: &str| clip.join(name);
-    PipelineInput {
+    let files = CaptureInputs {
         video: file("video.mp4"),
         masks: file("masks.zip"),
         keypoints: file("keypoints.json"),
         camera: Some(file("camera.json")),
         poses: None,
-        options: JobOptions { preset: Preset::Draft, body: "test".into(), ..JobOptions::default() },
-    }
+    };
+    let options = JobOptions { preset: Preset::Draft, body: "test".into(), ..JobOptions::default() };
+    PipelineInput { files, options }
 }
 
 /// Writes down what it hears; asks to stop at a step of a stage, as a user who cancels unless `lost` is set.
@@ -191,14 +192,14 @@ fn a_wrong_focal_length_is_told_and_replaced() {
     let folder = tempfile::tempdir().unwrap();
     let mut input = input(clip(&gpu));
     let mut camera: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(input.camera.as_ref().unwrap()).unwrap()).unwrap();
+        serde_json::from_slice(&std::fs::read(input.files.camera.as_ref().unwrap()).unwrap()).unwrap();
     let right = camera["fx"].as_f64().unwrap();
     for name in ["fx", "fy"] {
         camera[name] = (0.6 * camera[name].as_f64().unwrap()).into();
     }
     let wrong = folder.path().join("camera.json");
     std::fs::write(&wrong, camera.to_string()).unwrap();
-    input.camera = Some(wrong);
+    input.files.camera = Some(wrong);
     for trust in [false, true] {
         input.options.trust_camera = trust;
         run(&gpu, &input, folder.path(), &mut Witness::default()).unwrap();
@@ -359,7 +360,7 @@ struct Start {
 impl Start {
     fn new(gpu: &Arc<Gpu>, max_frames: u32) -> Self {
         let body = Body::test_body();
-        let inputs = input(clip(gpu)).capture_inputs();
+        let inputs = input(clip(gpu)).files;
         let mut capture =
             Capture::load(&inputs, &CaptureOptions { max_frames, max_side_px: 96 }, &mut |_| true).unwrap();
         let start = stage0::solve(&body, &capture, &Stage0Options::default(), &mut |_| true).unwrap();

@@ -9,8 +9,9 @@ use sha2::{Digest, Sha256};
 use uuid::Uuid;
 
 use super::form::{Form, FormPart};
+use crate::capture::CaptureInputs;
 use crate::http::access::Caller;
-use crate::http::app::{App, Limits, UploadedFiles};
+use crate::http::app::{App, Limits};
 use crate::http::error::ApiError;
 use crate::http::pace::Lateness;
 use crate::http::uploads;
@@ -101,9 +102,9 @@ impl Received {
         hex(&Sha256::digest(said.to_string()))
     }
 
-    pub fn files(&self) -> UploadedFiles {
+    pub fn files(&self) -> CaptureInputs {
         let optional = |part: &str| self.inputs.contains_key(part).then(|| self.upload.path(part));
-        UploadedFiles {
+        CaptureInputs {
             video: self.upload.path("video"),
             masks: self.upload.path("masks"),
             keypoints: self.upload.path("keypoints"),

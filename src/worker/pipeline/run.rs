@@ -126,7 +126,7 @@ fn larger_pictures(
         return Ok(Some(own));
     }
     let go_on = &mut |_| monitor.go_on();
-    let large = Capture::load_frames(&input.capture_inputs(), &closer.frames, closer.side_px, go_on);
+    let large = Capture::load_frames(&input.files, &closer.frames, closer.side_px, go_on);
     let mut large = match large {
         Ok(large) => large,
         // The fit is done, and without detail it is still a whole avatar.
@@ -183,7 +183,7 @@ fn load_body(path: &Path, name: &str) -> Result<Body, PipelineError> {
 
 fn load_capture(input: &PipelineInput, monitor: &mut Monitor<'_>) -> Result<Capture, PipelineError> {
     let mut told = 0;
-    let loaded = Capture::load(&input.capture_inputs(), &capture_options(&input.options), &mut |read| {
+    let loaded = Capture::load(&input.files, &capture_options(&input.options), &mut |read| {
         let percent = (read * 100.0) as u32;
         if percent > told {
             told = percent;

@@ -13,8 +13,8 @@ async fn a_fit_becomes_an_avatar() {
     let bench = Bench::new().await;
     let id = bench.add().await;
     let (shutdown, worker) = bench.worker(|task, observer| {
-        assert_eq!(fs::read(&task.input.video).unwrap(), b"clip");
-        assert!(task.input.camera.is_none());
+        assert_eq!(fs::read(&task.input.files.video).unwrap(), b"clip");
+        assert!(task.input.files.camera.is_none());
         observer.progress(&progress(Stage::Decode, 1));
         observer.progress(&progress(Stage::Export, 9));
         fs::write(task.work_dir.join("checkpoint"), b"half").unwrap();

@@ -27,12 +27,12 @@ impl Rig {
 
     pub fn post_with(&self, options: Value) -> String {
         let gpu = crate::fit::gpu("faults").unwrap();
-        let input = crate::fit::input(crate::fit::clip(&gpu));
+        let files = crate::fit::input(crate::fit::clip(&gpu)).files;
         let mut form = reqwest::blocking::multipart::Form::new().text("options", options.to_string());
-        for (name, path) in [("video", &input.video), ("masks", &input.masks), ("keypoints", &input.keypoints)] {
+        for (name, path) in [("video", &files.video), ("masks", &files.masks), ("keypoints", &files.keypoints)] {
             form = form.file(name, path).unwrap();
         }
-        form = form.file("camera", input.camera.unwrap()).unwrap();
+        form = form.file("camera", files.camera.unwrap()).unwrap();
         let job = self.client.post(format!("{}/v1/jobs", self.serve.url)).multipart(form).send().unwrap();
         assert_eq!(job.status(), 202);
         let job: Value = job.json().unwrap();

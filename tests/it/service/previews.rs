@@ -94,8 +94,8 @@ async fn the_avatar_is_seen_while_it_emerges() {
     let bench = &server.bench;
     let id = bench.env.new_id();
     std::fs::create_dir_all(bench.store.inputs(id)).unwrap();
-    let parts = [("video", &input.video), ("masks", &input.masks), ("keypoints", &input.keypoints)];
-    let parts = parts.into_iter().chain(input.camera.as_ref().map(|camera| ("camera", camera)));
+    let parts = [("video", &input.files.video), ("masks", &input.files.masks), ("keypoints", &input.files.keypoints)];
+    let parts = parts.into_iter().chain(input.files.camera.as_ref().map(|camera| ("camera", camera)));
     let inputs = parts.map(|(name, path)| {
         let bytes = std::fs::copy(path, bench.store.inputs(id).join(name)).unwrap();
         (name.to_string(), Part { bytes })

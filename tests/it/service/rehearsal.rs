@@ -45,7 +45,7 @@ impl ScriptedEngine {
 impl Engine for ScriptedEngine {
     fn fit(&mut self, task: &FitTask, observer: &mut dyn Observer) -> Result<Outcome, PipelineError> {
         // A clip that came over HTTP is no script.
-        let script = serde_json::from_slice(&std::fs::read(&task.input.video).unwrap());
+        let script = serde_json::from_slice(&std::fs::read(&task.input.files.video).unwrap());
         let script = script.unwrap_or(Script { steps: 6, step_ms: 20, save_every: 1, ..Script::default() });
         let checkpoint = task.work_dir.join("checkpoint");
         let begin = std::fs::read_to_string(&checkpoint).map_or(0, |text| text.parse::<u32>().unwrap());
