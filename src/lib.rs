@@ -25,6 +25,7 @@ pub mod quality;
 pub mod robustness;
 pub mod storage;
 pub mod study;
+pub mod synth;
 pub mod telemetry;
 pub mod webhooks;
 pub mod worker;

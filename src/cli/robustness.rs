@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use anyhow::{Context as _, Result, ensure};
 use effigy::data_dir::data_dir;
-use effigy::eval::{KeptClips, SynthOptions};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::robustness::{
     CASES, Case, Comparison, Outcome, Settings, Status, TAKES, Take, document, run as run_case, sheet,
 };
+use effigy::synth::{KeptClips, SynthOptions};
 use image::codecs::jpeg::JpegEncoder;
 
 #[derive(clap::Args)]

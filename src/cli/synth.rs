@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use effigy::body::Body;
 use effigy::data_dir::body_path;
-use effigy::eval::{Build, Filming, Outfit, SynthOptions, synthesise};
 use effigy::gpu::{DeviceSelect, Gpu};
+use effigy::synth::{Build, Filming, Outfit, SynthOptions, synthesise};
 
 #[derive(clap::Args)]
 pub struct Args {

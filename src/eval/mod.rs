@@ -11,7 +11,6 @@ mod report;
 mod run;
 mod shot;
 mod subject;
-mod synth;
 
 pub use self::flip::flip_map;
 pub use self::geometry::{Distances, Similarity, align, distances, sample, umeyama};
@@ -21,4 +20,3 @@ pub use nearest::Surface;
 pub use report::{FrameIou, GeometryScore, ImageFigures, ImageScore, JointScore, Report, Summary};
 pub use run::{EvalError, EvalOptions, evaluate};
 pub use subject::{Novel, NovelPose, Subject, SubjectError};
-pub use synth::{Build, Filming, KeptClips, Outfit, SynthError, SynthOptions, synthesise};

@@ -1,7 +1,7 @@
 //! Clips filmed as people film them, and of other people: made anew instead of spoiled.
 
 use super::cases::Case;
-use crate::eval::{Build, Outfit, SynthOptions};
+use crate::synth::{Build, Outfit, SynthOptions};
 
 /// A clip to make, and what it is like.
 pub struct Take {

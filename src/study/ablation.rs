@@ -6,9 +6,10 @@ use anyhow::{Context as _, Result};
 
 use super::person::{Fitted, Person, diffused, step_directly};
 use super::{Context, Report, Study, Table, Verdict};
-use crate::eval::{Subject, Summary, SynthOptions};
+use crate::eval::{Subject, Summary};
 use crate::fit::FitConfig;
 use crate::fit::config::{FrameSampling, Phase, Preconditioner, SilhouetteGradient};
+use crate::synth::SynthOptions;
 
 pub const STUDY: Study = Study {
     name: "ablation",

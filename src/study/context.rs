@@ -7,8 +7,8 @@ use std::sync::Arc;
 use anyhow::{Context as _, Result, ensure};
 
 use crate::body::Body;
-use crate::eval::{KeptClips, SynthOptions};
 use crate::gpu::Gpu;
+use crate::synth::{KeptClips, SynthOptions};
 
 /// The surroundings of a study.
 pub struct Context<'a> {

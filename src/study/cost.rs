@@ -13,7 +13,8 @@ use super::{Context, Report, Study, Table, Verdict};
 use crate::avatar::{AvatarModel, Background, Place, Pose, RenderSpec, Renderer};
 use crate::bench::Ceilings;
 use crate::camera::Camera;
-use crate::eval::{Novel, NovelPose, Subject, SynthOptions};
+use crate::eval::{Novel, NovelPose, Subject};
+use crate::synth::SynthOptions;
 
 pub const STUDY: Study = Study {
     name: "cost",

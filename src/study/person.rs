@@ -16,12 +16,13 @@ use crate::avatar::{AvatarModel, Background, RenderSpec, Renderer, Shading, Trac
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureInputs, CaptureOptions};
-use crate::eval::{EvalOptions, Novel, Report, Subject, SynthOptions, evaluate};
+use crate::eval::{EvalOptions, Novel, Report, Subject, evaluate};
 use crate::fit::config::{DIRECT_OFFSET_RATE, FrameSampling, Phase, Preconditioner};
 use crate::fit::stage0::{self, Stage0Options};
 use crate::fit::{self, Control, FitConfig, FitState, Flow, StepReport};
 use crate::gpu::Gpu;
 use crate::npz::Npz;
+use crate::synth::SynthOptions;
 
 /// A made clip in memory.
 pub(super) struct Person {

@@ -16,7 +16,6 @@ use crate::avatar::{Pose, ply};
 use crate::body::{Body, N_JOINTS};
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureInputs, CaptureOptions, Frame};
-use crate::eval::SynthOptions;
 use crate::gpu::Gpu;
 use crate::npz::Npz;
 use crate::ops::adam::{Adam, AdamConfig};
@@ -25,6 +24,7 @@ use crate::ops::project::Project;
 use crate::ops::skinning::cpu::{Posed, forward};
 use crate::ops::skinning::{PoseAt, SkinningBody};
 use crate::ops::{Corners, Topology};
+use crate::synth::SynthOptions;
 
 pub const STUDY: Study = Study {
     name: "pose",

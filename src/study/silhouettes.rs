@@ -6,8 +6,9 @@ use image::RgbImage;
 use super::painter::sheet;
 use super::person::{Person, comparable, middle};
 use super::{Context, Report, Study, Table, Verdict};
-use crate::eval::{Outfit, Summary, SynthOptions};
+use crate::eval::Summary;
 use crate::fit::FitConfig;
+use crate::synth::{Outfit, SynthOptions};
 
 pub const STUDY: Study = Study {
     name: "silhouettes",

@@ -7,11 +7,12 @@ use super::painter::sheet;
 use super::person::{Fitted, Person, comparable, middle};
 use super::{Context, Report, Study, Table, Verdict};
 use crate::avatar::ply::Mesh;
-use crate::eval::{Outfit, Report as Scores, SynthOptions};
+use crate::eval::Report as Scores;
 use crate::fit::FitConfig;
 use crate::fit::config::Preconditioner;
 use crate::ops::Topology;
 use crate::ops::{face_normals, normal_consistency};
+use crate::synth::{Outfit, SynthOptions};
 
 pub const STUDY: Study = Study {
     name: "stages",

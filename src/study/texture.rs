@@ -10,9 +10,10 @@ use super::person::{Fitted, Person, comparable};
 use super::{Context, Report, Study, Table, Verdict};
 use crate::avatar::{Shading, SurfacePoint, SurfaceTexture, Tracer, UvLayout};
 use crate::camera::Camera;
-use crate::eval::{Novel, Outfit, SynthOptions, psnr, ssim};
+use crate::eval::{Novel, psnr, ssim};
 use crate::fit::{FitConfig, FitState, Stage, Texels};
 use crate::ops::texel_map;
+use crate::synth::{Outfit, SynthOptions};
 
 pub const STUDY: Study = Study {
     name: "texture",

@@ -10,11 +10,11 @@ use std::time::Duration;
 use effigy::avatar::{AvatarModel, RenderSpec, Renderer, UvLayout};
 use effigy::body::Body;
 use effigy::capture::{Capture, CaptureInputs, CaptureOptions};
-use effigy::eval::{SynthOptions, synthesise};
 use effigy::fit::stage0::{self, Stage0Options};
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport, Texels};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
+use effigy::synth::{SynthOptions, synthesise};
 use effigy::worker::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput};
 use effigy::worker::pipeline::{Preview, Progress, Stage, StopReason};
 

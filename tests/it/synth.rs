@@ -6,9 +6,10 @@ use std::sync::Arc;
 use effigy::avatar::{AvatarModel, Renderer, ply};
 use effigy::body::Body;
 use effigy::camera::Camera;
-use effigy::eval::{EvalOptions, Subject, SynthOptions, evaluate, synthesise};
+use effigy::eval::{EvalOptions, Subject, evaluate};
 use effigy::npz::Npz;
 use effigy::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
+use effigy::synth::{SynthOptions, synthesise};
 
 fn options() -> SynthOptions {
     SynthOptions { frames: 4, size_px: 96, truths: 2, seed: 11, ..SynthOptions::default() }

@@ -5,9 +5,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use effigy::body::Body;
-use effigy::eval::{SynthOptions, synthesise};
 use effigy::jobs::{Event, State, Timestamp};
 use effigy::npz::Npz;
+use effigy::synth::{SynthOptions, synthesise};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use reqwest::blocking::{Client, Response, get, multipart};

@@ -1,5 +1,5 @@
 //! Made clips with truth: a body of random shape in made clothes turns once before a camera. The folder is laid out for
-//! [`Subject`](super::Subject) and as an upload.
+//! `effigy eval` and as an upload.
 
 mod build;
 mod clothes;
