@@ -1,3 +1,3 @@
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| effigy::parsers::form(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| effigy::fuzz_entries::form(bytes));

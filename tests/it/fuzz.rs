@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use effigy::parsers::{PARSERS, Parse};
+use effigy::fuzz_entries::{ENTRIES, Entry};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -30,18 +30,18 @@ fn corpus(name: &str) -> Vec<(String, Vec<u8>)> {
 }
 
 /// What a parser must do with whatever comes: return soon.
-fn parse(name: &str, parser: Parse, input: &[u8], which: &str) {
+fn parse(name: &str, entry: Entry, input: &[u8], which: &str) {
     let begun = Instant::now();
-    let survived = catch_unwind(AssertUnwindSafe(|| parser(input)));
+    let survived = catch_unwind(AssertUnwindSafe(|| entry(input)));
     assert!(survived.is_ok(), "{name} panics on {which} ({} bytes)", input.len());
     assert!(begun.elapsed() < Duration::from_secs(10), "{name} takes {:?} for {which}", begun.elapsed());
 }
 
 #[test]
 fn the_committed_corpora_harm_no_parser() {
-    for (name, parser) in PARSERS {
+    for (name, entry) in ENTRIES {
         for (file, input) in corpus(name) {
-            parse(name, parser, &input, &file);
+            parse(name, entry, &input, &file);
         }
     }
 }
@@ -55,13 +55,13 @@ fn targets_corpora_and_parsers_are_the_same_set() {
         names.sort();
         names
     };
-    let mut parsers: Vec<_> = PARSERS.iter().map(|(name, _)| name.to_string()).collect();
+    let mut parsers: Vec<_> = ENTRIES.iter().map(|(name, _)| name.to_string()).collect();
     parsers.sort();
     assert_eq!(names("fuzz/corpus", ""), parsers);
     assert_eq!(names("fuzz/fuzz_targets", ".rs"), parsers);
     for name in &parsers {
         let program = std::fs::read_to_string(format!("{}/fuzz/fuzz_targets/{name}.rs", env!("CARGO_MANIFEST_DIR")));
-        assert!(program.unwrap().contains(&format!("parsers::{name}(bytes)")), "{name}");
+        assert!(program.unwrap().contains(&format!("fuzz_entries::{name}(bytes)")), "{name}");
     }
 }
 
@@ -102,14 +102,14 @@ fn mutate(input: &[u8], other: &[u8], random: &mut Pcg64Mcg) -> Vec<u8> {
 fn changed_inputs_harm_no_parser() {
     let count = std::env::var("EFFIGY_TORTURE_MUTATIONS").map_or(2000, |text| text.parse::<u64>().unwrap());
     let begun = Instant::now();
-    for (name, parser) in PARSERS {
+    for (name, entry) in ENTRIES {
         let corpus = corpus(name);
         for seed in 0..count {
             let mut random = Pcg64Mcg::seed_from_u64(seed);
             let (file, input) = &corpus[random.random_range(0..corpus.len())];
             let (_, other) = &corpus[random.random_range(0..corpus.len())];
-            parse(name, parser, &mutate(input, other, &mut random), &format!("{file}, changed by seed {seed}"));
+            parse(name, entry, &mutate(input, other, &mut random), &format!("{file}, changed by seed {seed}"));
         }
     }
-    eprintln!("{count} changed inputs for each of {} parsers in {:.1?}", PARSERS.len(), begun.elapsed());
+    eprintln!("{count} changed inputs for each of {} parsers in {:.1?}", ENTRIES.len(), begun.elapsed());
 }

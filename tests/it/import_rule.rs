@@ -26,7 +26,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("page", &[]),
     ("webhooks", &["jobs"]),
     ("telemetry", &[]),
-    ("parsers", &["http", "jobs", "capture", "body"]),
+    ("fuzz_entries", &["http", "jobs", "capture", "body"]),
 ];
 
 /// Files that all may use, and that use only each other.

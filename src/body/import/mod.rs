@@ -1,7 +1,7 @@
 //! Importers: from other people's body models to our own file. Run by `effigy body import` alone, on files the
 //! operator chose; nothing here is reachable over HTTP.
 
-pub mod parsers;
+pub mod fuzz_entries;
 mod pickle;
 mod pickled_arrays;
 mod simplify;

@@ -301,7 +301,7 @@ pub(super) async fn take(app: &App, caller: &Caller, id: &str) -> Result<(Resuma
     Ok((found.ok_or_else(|| unknown("upload", id))?, turn))
 }
 
-/// Reads each header that these routes read. For [`super::parsers`].
+/// Reads each header that these routes read. For [`super::fuzz_entries`].
 pub(super) fn read_headers(given: &HeaderMap) {
     for name in [headers::LENGTH, headers::OFFSET] {
         let _ = headers::number(given, name);

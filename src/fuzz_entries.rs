@@ -1,6 +1,6 @@
-//! Every parser that meets bytes of strangers, by name, on bytes alone. The targets of `fuzz/` and the test over the
-//! committed corpora (`tests/it/fuzz.rs`) run the same functions: whatever the bytes are, none may panic, hang or take
-//! memory that the bytes do not account for.
+//! The fuzzer's ways into every parser that meets bytes of strangers, by name. The targets of `fuzz/` and the test over
+//! the committed corpora (`tests/it/fuzz.rs`) run the same functions: whatever the bytes are, none may panic, hang or take
+//! memory that the bytes do not account for, and what a parser accepts is sound.
 
 use std::io::Cursor;
 
@@ -8,15 +8,15 @@ use crate::body::Body;
 use crate::jobs::JobOptions;
 use crate::npz::Npz;
 
-pub use crate::body::import::parsers::pickle;
-pub use crate::capture::parsers::{camera, keypoints, masks, poses};
-pub use crate::http::parsers::{form, tus_headers};
+pub use crate::body::import::fuzz_entries::pickle;
+pub use crate::capture::fuzz_entries::{camera, keypoints, masks, poses};
+pub use crate::http::fuzz_entries::{form, tus_headers};
 
 /// Takes whatever comes, and returns.
-pub type Parse = fn(&[u8]);
+pub type Entry = fn(&[u8]);
 
-/// A parser's name, which is also that of its corpus in `fuzz/corpus/`.
-pub const PARSERS: [(&str, Parse); 10] = [
+/// With the name of the parser, which is also that of its corpus in `fuzz/corpus/`.
+pub const ENTRIES: [(&str, Entry); 10] = [
     ("options", options),
     ("form", form),
     ("tus_headers", tus_headers),

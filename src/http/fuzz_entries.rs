@@ -1,4 +1,4 @@
-//! The parsers of requests, on bytes alone ([`crate::parsers`]).
+//! The fuzzer's way into the parsers of requests ([`crate::fuzz_entries`]).
 
 use std::sync::{Mutex, OnceLock, PoisonError};
 

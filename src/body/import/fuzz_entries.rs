@@ -1,4 +1,4 @@
-//! The parser of pickled models, on bytes alone ([`crate::parsers`]).
+//! The fuzzer's way into the parser of pickled models ([`crate::fuzz_entries`]).
 
 use super::{pickle, pickled_arrays, smpl};
 

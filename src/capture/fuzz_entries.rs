@@ -1,4 +1,4 @@
-//! The parsers of a clip's parts, on bytes alone ([`crate::parsers`]).
+//! The fuzzer's way into the parsers of a clip's parts ([`crate::fuzz_entries`]).
 
 use std::io::Write;
 use std::path::Path;
