@@ -39,7 +39,7 @@ pub(super) fn list(filter: &ListFilter) -> QueryBuilder<Sqlite> {
 const RECENT: Duration = Duration::from_secs(86_400);
 
 impl SqliteQueue {
-    pub(super) async fn insert_job(&self, new: NewJob) -> Result<Insertion, QueueError> {
+    pub(super) async fn insert(&self, new: NewJob) -> Result<Insertion, QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
         if let Some(remember) = &new.remember
@@ -83,7 +83,7 @@ impl SqliteQueue {
         Ok(Insertion::Queued(Box::new(job)))
     }
 
-    pub(super) async fn looks_full(&self) -> Result<bool, QueueError> {
+    pub(super) async fn is_full(&self) -> Result<bool, QueueError> {
         self.is_full_in(&mut *self.readers.acquire().await?).await
     }
 
@@ -93,20 +93,20 @@ impl SqliteQueue {
         Ok(queued as u64 >= self.policy.max_queued)
     }
 
-    pub(super) async fn look_up(&self, key: &str) -> Result<Option<Remembered>, QueueError> {
+    pub(super) async fn remembered(&self, key: &str) -> Result<Option<Remembered>, QueueError> {
         rows::remembered(&mut *self.readers.acquire().await?, key).await
     }
 
-    pub(super) async fn get_job(&self, id: Uuid) -> Result<Option<Job>, QueueError> {
+    pub(super) async fn get(&self, id: Uuid) -> Result<Option<Job>, QueueError> {
         rows::read(&mut *self.readers.acquire().await?, id).await
     }
 
-    pub(super) async fn list_jobs(&self, filter: ListFilter) -> Result<Vec<Job>, QueueError> {
+    pub(super) async fn list(&self, filter: ListFilter) -> Result<Vec<Job>, QueueError> {
         let found = list(&filter).build().fetch_all(&self.readers).await?;
         found.iter().map(rows::job).collect()
     }
 
-    pub(super) async fn cancel_job(&self, id: Uuid) -> Result<Change, QueueError> {
+    pub(super) async fn cancel(&self, id: Uuid) -> Result<Change, QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
         let changed = sqlx::query(
@@ -133,7 +133,7 @@ impl SqliteQueue {
         })
     }
 
-    pub(super) async fn retry_job(&self, id: Uuid) -> Result<Change, QueueError> {
+    pub(super) async fn retry(&self, id: Uuid) -> Result<Change, QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
         let is_full = self.is_full_in(&mut tx).await?;
@@ -164,7 +164,7 @@ impl SqliteQueue {
         Ok(Change::Done(job))
     }
 
-    pub(super) async fn delete_job(&self, id: Uuid) -> Result<Deletion, QueueError> {
+    pub(super) async fn delete(&self, id: Uuid) -> Result<Deletion, QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
         let gone = sqlx::query("DELETE FROM jobs WHERE id = ? AND state NOT IN ('running', 'canceling')")
@@ -191,7 +191,7 @@ impl SqliteQueue {
         Ok(Deletion::Pending)
     }
 
-    pub(super) async fn events_of(&self, job: Uuid, after: i64, limit: u32) -> Result<Vec<Event>, QueueError> {
+    pub(super) async fn events(&self, job: Uuid, after: i64, limit: u32) -> Result<Vec<Event>, QueueError> {
         let found = sqlx::query("SELECT * FROM events WHERE job_id = ? AND id > ? ORDER BY id LIMIT ?")
             .bind(job.to_string())
             .bind(after)
@@ -201,11 +201,11 @@ impl SqliteQueue {
         found.iter().map(rows::event).collect()
     }
 
-    pub(super) async fn newest_event(&self) -> Result<i64, QueueError> {
+    pub(super) async fn last_event(&self) -> Result<i64, QueueError> {
         Ok(sqlx::query_scalar("SELECT COALESCE(max(id), 0) FROM events").fetch_one(&self.readers).await?)
     }
 
-    pub(super) async fn get_avatar(&self, id: Uuid) -> Result<Option<Avatar>, QueueError> {
+    pub(super) async fn avatar(&self, id: Uuid) -> Result<Option<Avatar>, QueueError> {
         // One transaction, so that the files belong to the row.
         let mut tx = self.readers.begin().await?;
         let sql = "SELECT a.*, j.clip, j.expires_at FROM avatars a JOIN jobs j ON j.id = a.id WHERE a.id = ?";
@@ -227,7 +227,7 @@ impl SqliteQueue {
         }))
     }
 
-    pub(super) async fn count_states(&self) -> Result<BTreeMap<State, u64>, QueueError> {
+    pub(super) async fn counts(&self) -> Result<BTreeMap<State, u64>, QueueError> {
         let mut counts: BTreeMap<State, u64> = State::ALL.into_iter().map(|state| (state, 0)).collect();
         let found =
             sqlx::query("SELECT state, count(*) AS n FROM jobs GROUP BY state").fetch_all(&self.readers).await?;
@@ -239,7 +239,7 @@ impl SqliteQueue {
         Ok(counts)
     }
 
-    pub(super) async fn sum_stage_times(&self) -> Result<Vec<StageTime>, QueueError> {
+    pub(super) async fn stage_times(&self) -> Result<Vec<StageTime>, QueueError> {
         let found = sqlx::query(
             "SELECT stage, count(*) AS jobs, sum(secs) AS secs FROM stage_times GROUP BY stage ORDER BY stage",
         )
@@ -255,7 +255,7 @@ impl SqliteQueue {
         times.collect()
     }
 
-    pub(super) async fn gather_figures(&self) -> Result<Figures, QueueError> {
+    pub(super) async fn figures(&self) -> Result<Figures, QueueError> {
         // One transaction, so that the figures belong together.
         let mut tx = self.readers.begin().await?;
         let failed = sqlx::query(

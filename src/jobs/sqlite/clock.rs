@@ -87,7 +87,7 @@ mod tests {
     use std::time::Duration;
 
     use super::super::super::conformance::{avatar, new_job};
-    use super::super::super::{Env, Job, Lease, ManualClock, Policy, Queue, Remember, State, Timestamp};
+    use super::super::super::{Env, Job, Lease, ManualClock, Policy, Remember, State, Timestamp};
     use super::*;
 
     const DAY: Duration = Duration::from_secs(86_400);

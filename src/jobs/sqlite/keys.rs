@@ -17,7 +17,7 @@ type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
 const ALIVE: &str = "revoked_at IS NULL AND (expires_at IS NULL OR expires_at > ?1)";
 
 impl SqliteQueue {
-    async fn insert_key(&self, new: &NewKey, token: &Token) -> Result<Option<Key>, QueueError> {
+    async fn create_key(&self, new: &NewKey, token: &Token) -> Result<Option<Key>, QueueError> {
         let mut tx = self.write().await?;
         let taken: bool =
             sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM api_keys WHERE name = ? AND revoked_at IS NULL)")
@@ -57,7 +57,7 @@ impl SqliteQueue {
         query.fetch_optional(&self.readers).await?.as_ref().map(key).transpose()
     }
 
-    async fn revoke(&self, name_or_id: &str) -> Result<Option<Key>, QueueError> {
+    async fn revoke_key(&self, name_or_id: &str) -> Result<Option<Key>, QueueError> {
         let mut tx = self.write().await?;
         let row = sqlx::query(
             "UPDATE api_keys SET revoked_at = ?1 WHERE revoked_at IS NULL AND (name = ?2 OR id = ?2) RETURNING *",
@@ -70,11 +70,11 @@ impl SqliteQueue {
         row.as_ref().map(key).transpose()
     }
 
-    async fn bytes_of(&self, owner: Uuid) -> Result<u64, QueueError> {
+    async fn kept_bytes(&self, owner: Uuid) -> Result<u64, QueueError> {
         kept(&mut *self.readers.acquire().await?, owner).await
     }
 
-    async fn secret_of(&self, name: &str, fresh: [u8; 32]) -> Result<Vec<u8>, QueueError> {
+    async fn secret(&self, name: &str, fresh: [u8; 32]) -> Result<Vec<u8>, QueueError> {
         let mut tx = self.write().await?;
         sqlx::query("INSERT INTO secrets (name, value, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
             .bind(name)
@@ -160,7 +160,7 @@ fn key(row: &SqliteRow) -> Result<Key, QueueError> {
 
 impl Keys for SqliteQueue {
     fn create_key<'a>(&'a self, key: &'a NewKey, token: &'a Token) -> Answer<'a, Option<Key>> {
-        Box::pin(self.insert_key(key, token))
+        Box::pin(self.create_key(key, token))
     }
 
     fn list_keys(&self) -> Answer<'_, Vec<Key>> {
@@ -171,7 +171,7 @@ impl Keys for SqliteQueue {
     }
 
     fn revoke_key<'a>(&'a self, name_or_id: &'a str) -> Answer<'a, Option<Key>> {
-        Box::pin(self.revoke(name_or_id))
+        Box::pin(self.revoke_key(name_or_id))
     }
 
     fn key_of<'a>(&'a self, token: &'a Token) -> Answer<'a, Option<Key>> {
@@ -195,10 +195,10 @@ impl Keys for SqliteQueue {
     }
 
     fn kept_bytes(&self, key: Uuid) -> Answer<'_, u64> {
-        Box::pin(self.bytes_of(key))
+        Box::pin(self.kept_bytes(key))
     }
 
     fn secret<'a>(&'a self, name: &'a str, fresh: [u8; 32]) -> Answer<'a, Vec<u8>> {
-        Box::pin(self.secret_of(name, fresh))
+        Box::pin(self.secret(name, fresh))
     }
 }

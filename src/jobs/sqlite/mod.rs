@@ -90,116 +90,117 @@ impl SqliteQueue {
     }
 }
 
+// Methods of one's own go before those of a trait: each of these calls the one of its name.
 impl Queue for SqliteQueue {
     fn insert(&self, job: NewJob) -> Answer<'_, Insertion> {
-        Box::pin(self.insert_job(job))
+        Box::pin(self.insert(job))
     }
 
     fn is_full(&self) -> Answer<'_, bool> {
-        Box::pin(self.looks_full())
+        Box::pin(self.is_full())
     }
 
     fn remembered<'a>(&'a self, key: &'a str) -> Answer<'a, Option<Remembered>> {
-        Box::pin(self.look_up(key))
+        Box::pin(self.remembered(key))
     }
 
     fn get(&self, id: Uuid) -> Answer<'_, Option<Job>> {
-        Box::pin(self.get_job(id))
+        Box::pin(self.get(id))
     }
 
     fn list(&self, filter: ListFilter) -> Answer<'_, Vec<Job>> {
-        Box::pin(self.list_jobs(filter))
+        Box::pin(self.list(filter))
     }
 
     fn cancel(&self, id: Uuid) -> Answer<'_, Change> {
-        Box::pin(self.cancel_job(id))
+        Box::pin(self.cancel(id))
     }
 
     fn retry(&self, id: Uuid) -> Answer<'_, Change> {
-        Box::pin(self.retry_job(id))
+        Box::pin(self.retry(id))
     }
 
     fn delete(&self, id: Uuid) -> Answer<'_, Deletion> {
-        Box::pin(self.delete_job(id))
+        Box::pin(self.delete(id))
     }
 
     fn events(&self, job: Uuid, after: i64, limit: u32) -> Answer<'_, Vec<Event>> {
-        Box::pin(self.events_of(job, after, limit))
+        Box::pin(self.events(job, after, limit))
     }
 
     fn last_event(&self) -> Answer<'_, i64> {
-        Box::pin(self.newest_event())
+        Box::pin(self.last_event())
     }
 
     fn avatar(&self, id: Uuid) -> Answer<'_, Option<Avatar>> {
-        Box::pin(self.get_avatar(id))
+        Box::pin(self.avatar(id))
     }
 
     fn counts(&self) -> Answer<'_, BTreeMap<State, u64>> {
-        Box::pin(self.count_states())
+        Box::pin(self.counts())
     }
 
     fn stage_times(&self) -> Answer<'_, Vec<StageTime>> {
-        Box::pin(self.sum_stage_times())
+        Box::pin(self.stage_times())
     }
 
     fn figures(&self) -> Answer<'_, Figures> {
-        Box::pin(self.gather_figures())
+        Box::pin(self.figures())
     }
 
     fn claim<'a>(&'a self, owner: &'a str) -> Answer<'a, Option<(Lease, Job)>> {
-        Box::pin(self.claim_job(owner))
+        Box::pin(self.claim(owner))
     }
 
     fn standing<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
-        Box::pin(self.read_standing(lease))
+        Box::pin(self.standing(lease))
     }
 
     fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
-        Box::pin(self.renew(lease))
+        Box::pin(self.heartbeat(lease))
     }
 
     fn report<'a>(&'a self, lease: &'a Lease, report: &'a ProgressReport) -> Answer<'a, Standing> {
-        Box::pin(self.write_progress(lease, report))
+        Box::pin(self.report(lease, report))
     }
 
     fn saved<'a>(&'a self, lease: &'a Lease, progress: f64) -> Answer<'a, Standing> {
-        Box::pin(self.write_saved(lease, progress))
+        Box::pin(self.saved(lease, progress))
     }
 
     fn show<'a>(&'a self, lease: &'a Lease, preview: &'a str, at: &'a ProgressReport) -> Answer<'a, Standing> {
-        Box::pin(self.write_preview(lease, preview, at))
+        Box::pin(self.show(lease, preview, at))
     }
 
     fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> Answer<'a, Standing> {
-        Box::pin(self.write_stage_time(lease, stage, secs))
+        Box::pin(self.add_stage_time(lease, stage, secs))
     }
 
     fn succeed<'a>(&'a self, lease: &'a Lease, avatar: NewAvatar) -> Answer<'a, Standing> {
-        Box::pin(self.publish(lease, avatar))
+        Box::pin(self.succeed(lease, avatar))
     }
 
     fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: Repeat) -> Answer<'a, Standing> {
-        Box::pin(self.end_badly(lease, error, repeat))
+        Box::pin(self.fail(lease, error, repeat))
     }
 
     fn give_back<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
-        Box::pin(self.return_attempt(lease))
+        Box::pin(self.give_back(lease))
     }
 
     fn confirm_cancel<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
-        Box::pin(self.finish_cancel(lease))
+        Box::pin(self.confirm_cancel(lease))
     }
 
     fn reap(&self) -> Answer<'_, Reaped> {
-        Box::pin(self.reap_all())
+        Box::pin(self.reap())
     }
 
     fn owners(&self) -> Answer<'_, Vec<String>> {
-        Box::pin(self.lease_owners())
+        Box::pin(self.owners())
     }
 
     fn release_owner<'a>(&'a self, owner: &'a str) -> Answer<'a, Vec<Uuid>> {
-        Box::pin(self.release_all_of(owner))
+        Box::pin(self.release_owner(owner))
     }
 }

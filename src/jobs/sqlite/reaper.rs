@@ -27,7 +27,7 @@ impl SqliteQueue {
         Ok(changed)
     }
 
-    pub(super) async fn reap_all(&self) -> Result<Reaped, QueueError> {
+    pub(super) async fn reap(&self) -> Result<Reaped, QueueError> {
         self.settle().await?;
         let now = self.env.now().0;
         let forgotten = now - self.policy.remember.as_millis() as i64;
@@ -62,11 +62,11 @@ impl SqliteQueue {
         Ok(Reaped { reclaimed, late, expired, deleted })
     }
 
-    pub(super) async fn lease_owners(&self) -> Result<Vec<String>, QueueError> {
+    pub(super) async fn owners(&self) -> Result<Vec<String>, QueueError> {
         Ok(sqlx::query_scalar(OWNERS).fetch_all(&self.readers).await?)
     }
 
-    pub(super) async fn release_all_of(&self, owner: &str) -> Result<Vec<Uuid>, QueueError> {
+    pub(super) async fn release_owner(&self, owner: &str) -> Result<Vec<Uuid>, QueueError> {
         let mut tx = self.write().await?;
         let held = sqlx::query(select_jobs!("WHERE j.owner = ?")).bind(owner).fetch_all(&mut *tx).await?;
         let held = held.iter().map(rows::job).collect::<Result<Vec<Job>, _>>()?;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::super::conformance::{Bench, avatar, new_job, suite};
-use super::super::{Env, ListFilter, ManualClock, Policy, Queue, State, Timestamp};
+use super::super::{Env, ListFilter, ManualClock, Policy, State, Timestamp};
 use super::SqliteQueue;
 
 pub(super) async fn open() -> Bench {

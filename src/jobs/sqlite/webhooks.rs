@@ -51,7 +51,7 @@ pub(super) async fn tell(connection: &mut SqliteConnection, job: &Job) -> Result
 }
 
 impl SqliteQueue {
-    async fn insert_webhook(&self, new: NewWebhook) -> Result<Webhook, QueueError> {
+    async fn create_webhook(&self, new: NewWebhook) -> Result<Webhook, QueueError> {
         let mut tx = self.write().await?;
         let key = new.key.map(|key| key.to_string());
         let others: i64 = sqlx::query_scalar("SELECT count(*) FROM webhooks WHERE key_id IS ?")
@@ -87,7 +87,7 @@ impl SqliteQueue {
         found.iter().map(webhook).collect()
     }
 
-    async fn remove_webhook(&self, id: Uuid, only: Option<Uuid>) -> Result<bool, QueueError> {
+    async fn delete_webhook(&self, id: Uuid, only: Option<Uuid>) -> Result<bool, QueueError> {
         let mut tx = self.write().await?;
         let gone = sqlx::query("DELETE FROM webhooks WHERE id = ?1 AND (?2 IS NULL OR key_id = ?2)")
             .bind(id.to_string())
@@ -98,7 +98,7 @@ impl SqliteQueue {
         Ok(gone.rows_affected() > 0)
     }
 
-    async fn deliveries_of(&self, id: Uuid, limit: u32) -> Result<Vec<Delivery>, QueueError> {
+    async fn deliveries(&self, id: Uuid, limit: u32) -> Result<Vec<Delivery>, QueueError> {
         let found =
             sqlx::query("SELECT * FROM deliveries WHERE webhook_id = ? ORDER BY created_at DESC, rowid DESC LIMIT ?")
                 .bind(id.to_string())
@@ -108,7 +108,7 @@ impl SqliteQueue {
         found.iter().map(delivery).collect()
     }
 
-    async fn due_now(&self, places: Places) -> Result<Vec<Due>, QueueError> {
+    async fn due(&self, places: Places) -> Result<Vec<Due>, QueueError> {
         let found = sqlx::query(
             "SELECT id, key_id, payload, attempts, url, secret FROM ( \
                SELECT *, row_number() OVER (PARTITION BY key_id ORDER BY turn, next_at, row) AS turn_of_key FROM ( \
@@ -138,7 +138,7 @@ impl SqliteQueue {
         due.collect()
     }
 
-    async fn write_attempt(&self, id: &str, attempt: &Attempt) -> Result<(), QueueError> {
+    async fn attempted(&self, id: &str, attempt: &Attempt) -> Result<(), QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
         let made: Option<u32> = sqlx::query_scalar(
@@ -213,7 +213,7 @@ fn delivery(row: &SqliteRow) -> Result<Delivery, QueueError> {
 
 impl Webhooks for SqliteQueue {
     fn create_webhook(&self, new: NewWebhook) -> Answer<'_, Webhook> {
-        Box::pin(self.insert_webhook(new))
+        Box::pin(self.create_webhook(new))
     }
 
     fn webhooks(&self, only: Option<Uuid>) -> Answer<'_, Vec<Webhook>> {
@@ -225,18 +225,18 @@ impl Webhooks for SqliteQueue {
     }
 
     fn delete_webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, bool> {
-        Box::pin(self.remove_webhook(id, only))
+        Box::pin(self.delete_webhook(id, only))
     }
 
     fn deliveries(&self, webhook: Uuid, limit: u32) -> Answer<'_, Vec<Delivery>> {
-        Box::pin(self.deliveries_of(webhook, limit))
+        Box::pin(self.deliveries(webhook, limit))
     }
 
     fn due(&self, places: Places) -> Answer<'_, Vec<Due>> {
-        Box::pin(self.due_now(places))
+        Box::pin(self.due(places))
     }
 
     fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> Answer<'a, ()> {
-        Box::pin(self.write_attempt(delivery, attempt))
+        Box::pin(self.attempted(delivery, attempt))
     }
 }

@@ -33,7 +33,7 @@ pub(super) const CLAIM: &str = concat!(
 );
 
 impl SqliteQueue {
-    pub(super) async fn claim_job(&self, owner: &str) -> Result<Option<(Lease, Job)>, QueueError> {
+    pub(super) async fn claim(&self, owner: &str) -> Result<Option<(Lease, Job)>, QueueError> {
         // An idle worker looks often: the look must not take the writer's lock.
         let waiting: bool = sqlx::query_scalar(WAITING).bind(self.env.now().0).fetch_one(&self.readers).await?;
         if !waiting {
@@ -55,7 +55,7 @@ impl SqliteQueue {
         Ok(Some((lease, job)))
     }
 
-    pub(super) async fn read_standing(&self, lease: &Lease) -> Result<Standing, QueueError> {
+    pub(super) async fn standing(&self, lease: &Lease) -> Result<Standing, QueueError> {
         let state: Option<String> = sqlx::query_scalar("SELECT state FROM jobs WHERE id = ? AND epoch = ?")
             .bind(lease.job.to_string())
             .bind(lease.epoch)
@@ -64,7 +64,7 @@ impl SqliteQueue {
         Ok(standing(state.as_deref()))
     }
 
-    pub(super) async fn renew(&self, lease: &Lease) -> Result<Standing, QueueError> {
+    pub(super) async fn heartbeat(&self, lease: &Lease) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let held = held(
             &mut tx,
@@ -79,7 +79,7 @@ impl SqliteQueue {
         Ok(held)
     }
 
-    pub(super) async fn write_progress(&self, lease: &Lease, report: &ProgressReport) -> Result<Standing, QueueError> {
+    pub(super) async fn report(&self, lease: &Lease, report: &ProgressReport) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
         let update = sqlx::query(
@@ -115,7 +115,7 @@ impl SqliteQueue {
         Ok(held)
     }
 
-    pub(super) async fn write_saved(&self, lease: &Lease, progress: f64) -> Result<Standing, QueueError> {
+    pub(super) async fn saved(&self, lease: &Lease, progress: f64) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let update = sqlx::query(
             "UPDATE jobs SET saved = max(saved, ?3) WHERE id = ?1 AND epoch = ?2 AND owner IS NOT NULL RETURNING state",
@@ -126,12 +126,7 @@ impl SqliteQueue {
         Ok(held)
     }
 
-    pub(super) async fn write_preview(
-        &self,
-        lease: &Lease,
-        preview: &str,
-        at: &ProgressReport,
-    ) -> Result<Standing, QueueError> {
+    pub(super) async fn show(&self, lease: &Lease, preview: &str, at: &ProgressReport) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
         let update = sqlx::query(
@@ -147,7 +142,7 @@ impl SqliteQueue {
         Ok(held)
     }
 
-    pub(super) async fn write_stage_time(&self, lease: &Lease, stage: &str, secs: f64) -> Result<Standing, QueueError> {
+    pub(super) async fn add_stage_time(&self, lease: &Lease, stage: &str, secs: f64) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let held = self.current(&mut tx, lease).await?;
         if held.is_some() {
@@ -165,7 +160,7 @@ impl SqliteQueue {
         Ok(standing(held.map(|job| job.state.name())))
     }
 
-    pub(super) async fn publish(&self, lease: &Lease, avatar: NewAvatar) -> Result<Standing, QueueError> {
+    pub(super) async fn succeed(&self, lease: &Lease, avatar: NewAvatar) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         if self.current(&mut tx, lease).await?.is_none() {
             return Ok(Standing::Lost);
@@ -207,12 +202,7 @@ impl SqliteQueue {
         Ok(Standing::Held)
     }
 
-    pub(super) async fn end_badly(
-        &self,
-        lease: &Lease,
-        error: JobError,
-        repeat: Repeat,
-    ) -> Result<Standing, QueueError> {
+    pub(super) async fn fail(&self, lease: &Lease, error: JobError, repeat: Repeat) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let Some(job) = self.current(&mut tx, lease).await? else { return Ok(Standing::Lost) };
         self.end_attempt(&mut tx, &job, &error, repeat).await?;
@@ -220,7 +210,7 @@ impl SqliteQueue {
         Ok(Standing::Held)
     }
 
-    pub(super) async fn return_attempt(&self, lease: &Lease) -> Result<Standing, QueueError> {
+    pub(super) async fn give_back(&self, lease: &Lease) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let Some(job) = self.current(&mut tx, lease).await? else { return Ok(Standing::Lost) };
         if job.state == State::Canceling {
@@ -240,7 +230,7 @@ impl SqliteQueue {
         Ok(Standing::Held)
     }
 
-    pub(super) async fn finish_cancel(&self, lease: &Lease) -> Result<Standing, QueueError> {
+    pub(super) async fn confirm_cancel(&self, lease: &Lease) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         match self.current(&mut tx, lease).await? {
             Some(job) if job.state == State::Canceling => {}
