@@ -131,10 +131,9 @@ fn disposition(name: &str) -> &'static str {
 
 fn content_type(name: &str) -> &'static str {
     match name.rsplit_once('.').map(|(_, extension)| extension) {
-        Some("glb" | "vrm") => "model/gltf-binary",
+        Some("glb") => "model/gltf-binary",
         Some("png") => "image/png",
         Some("json") => "application/json",
-        Some("mp4") => "video/mp4",
         Some("html") => "text/html; charset=utf-8",
         _ => "application/octet-stream",
     }
