@@ -35,8 +35,8 @@ impl Owner {
         &self.id
     }
 
-    /// Whether the worker of this id is certainly gone. Removes what it left.
-    pub fn is_dead(folder: &Path, id: &str) -> io::Result<bool> {
+    /// Whether the worker of this id is certainly gone; what it left is removed then.
+    pub fn remove_if_dead(folder: &Path, id: &str) -> io::Result<bool> {
         let path = lock_path(folder, id);
         let file = match File::open(&path) {
             Ok(file) => file,
@@ -61,7 +61,7 @@ pub fn sweep(folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let name = entry?.file_name();
         if let Some(id) = name.to_str().and_then(|name| name.strip_suffix(".lock")) {
-            Owner::is_dead(folder, id)?;
+            Owner::remove_if_dead(folder, id)?;
         }
     }
     Ok(())

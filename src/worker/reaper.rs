@@ -29,7 +29,7 @@ impl Reaper {
 
     pub async fn round(&self) -> Result<(), QueueError> {
         for owner in self.queue.owners().await? {
-            match Owner::is_dead(&self.store.workers(), &owner) {
+            match Owner::remove_if_dead(&self.store.workers(), &owner) {
                 Ok(true) => {
                     for job in self.queue.release_owner(&owner).await? {
                         tracing::warn!(%job, owner, "taken back from a dead worker");

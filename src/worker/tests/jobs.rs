@@ -224,7 +224,7 @@ async fn locks_go_with_their_workers_also_without_a_job() {
     reaper.round().await.unwrap();
     let left: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     assert_eq!(left, [format!("{}.lock", alive.id()).as_str()]);
-    assert!(!Owner::is_dead(&folder, alive.id()).unwrap());
+    assert!(!Owner::remove_if_dead(&folder, alive.id()).unwrap());
 }
 
 #[tokio::test]
