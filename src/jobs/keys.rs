@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 use uuid::Uuid;
 
 use super::Timestamp;
-use super::queue::Answer;
+use super::queue::QueueFuture;
 
 /// What a key allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -117,20 +117,20 @@ impl Token {
 /// The keys and secrets of a service.
 pub trait Keys: Send + Sync + 'static {
     /// None where a living key has this name.
-    fn create_key<'a>(&'a self, key: &'a NewKey, token: &'a Token) -> Answer<'a, Option<Key>>;
+    fn create_key<'a>(&'a self, key: &'a NewKey, token: &'a Token) -> QueueFuture<'a, Option<Key>>;
     /// All of them, the oldest first.
-    fn list_keys(&self) -> Answer<'_, Vec<Key>>;
+    fn list_keys(&self) -> QueueFuture<'_, Vec<Key>>;
     /// Revokes the living key of this name or id; None where there is none.
-    fn revoke_key<'a>(&'a self, name_or_id: &'a str) -> Answer<'a, Option<Key>>;
+    fn revoke_key<'a>(&'a self, name_or_id: &'a str) -> QueueFuture<'a, Option<Key>>;
     /// The living key of a token.
-    fn key_of<'a>(&'a self, token: &'a Token) -> Answer<'a, Option<Key>>;
+    fn key_of<'a>(&'a self, token: &'a Token) -> QueueFuture<'a, Option<Key>>;
     /// The living key of an id.
-    fn living_key(&self, id: Uuid) -> Answer<'_, Option<Key>>;
-    fn any_living_key(&self) -> Answer<'_, bool>;
+    fn living_key(&self, id: Uuid) -> QueueFuture<'_, Option<Key>>;
+    fn any_living_key(&self) -> QueueFuture<'_, bool>;
     /// Whose a job is: None where there is no such job, Some(None) where it is nobody's.
-    fn owner_of(&self, job: Uuid) -> Answer<'_, Option<Option<Uuid>>>;
+    fn owner_of(&self, job: Uuid) -> QueueFuture<'_, Option<Option<Uuid>>>;
     /// Bytes of inputs and results that are kept for a key.
-    fn kept_bytes(&self, key: Uuid) -> Answer<'_, u64>;
+    fn kept_bytes(&self, key: Uuid) -> QueueFuture<'_, u64>;
     /// The secret of this purpose; `fresh` becomes it where there is none yet.
-    fn secret<'a>(&'a self, name: &'a str, fresh: [u8; 32]) -> Answer<'a, Vec<u8>>;
+    fn secret<'a>(&'a self, name: &'a str, fresh: [u8; 32]) -> QueueFuture<'a, Vec<u8>>;
 }

@@ -177,68 +177,69 @@ pub struct Figures {
     pub deliveries: u64,
 }
 
-pub(super) type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
+/// What the traits of this module give back: they are used as objects, which `async fn` does not allow.
+pub(super) type QueueFuture<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
 
 /// A durable queue of jobs and the shelf of their results. Each call is one transaction.
 pub trait Queue: Send + Sync + 'static {
     // The API's side.
 
     /// Puts a job in, queued, unless its key was given before or too many wait.
-    fn insert(&self, job: NewJob) -> Answer<'_, Insertion>;
+    fn insert(&self, job: NewJob) -> QueueFuture<'_, Insertion>;
     /// Whether so many jobs wait that no more are taken.
-    fn is_full(&self) -> Answer<'_, bool>;
+    fn is_full(&self) -> QueueFuture<'_, bool>;
     /// What a key was given for, if it was.
-    fn remembered<'a>(&'a self, key: &'a str) -> Answer<'a, Option<Remembered>>;
-    fn get(&self, id: Uuid) -> Answer<'_, Option<Job>>;
-    fn list(&self, filter: ListFilter) -> Answer<'_, Vec<Job>>;
+    fn remembered<'a>(&'a self, key: &'a str) -> QueueFuture<'a, Option<Remembered>>;
+    fn get(&self, id: Uuid) -> QueueFuture<'_, Option<Job>>;
+    fn list(&self, filter: ListFilter) -> QueueFuture<'_, Vec<Job>>;
     /// queued → canceled, running → canceling; a job that is canceling or canceled stays as it is.
-    fn cancel(&self, id: Uuid) -> Answer<'_, Change>;
+    fn cancel(&self, id: Uuid) -> QueueFuture<'_, Change>;
     /// failed, canceled → queued, with all its attempts again. Its checkpoint is still there.
-    fn retry(&self, id: Uuid) -> Answer<'_, Change>;
-    fn delete(&self, id: Uuid) -> Answer<'_, Deletion>;
+    fn retry(&self, id: Uuid) -> QueueFuture<'_, Change>;
+    fn delete(&self, id: Uuid) -> QueueFuture<'_, Deletion>;
     /// Events of a job after the one named, oldest first.
-    fn events(&self, job: Uuid, after: i64, limit: u32) -> Answer<'_, Vec<Event>>;
+    fn events(&self, job: Uuid, after: i64, limit: u32) -> QueueFuture<'_, Vec<Event>>;
     /// Id of the newest event of all jobs, 0 without any.
-    fn last_event(&self) -> Answer<'_, i64>;
-    fn avatar(&self, id: Uuid) -> Answer<'_, Option<Avatar>>;
+    fn last_event(&self) -> QueueFuture<'_, i64>;
+    fn avatar(&self, id: Uuid) -> QueueFuture<'_, Option<Avatar>>;
     /// Jobs in each state.
-    fn counts(&self) -> Answer<'_, BTreeMap<State, u64>>;
-    fn stage_times(&self) -> Answer<'_, Vec<StageTime>>;
-    fn figures(&self) -> Answer<'_, Figures>;
+    fn counts(&self) -> QueueFuture<'_, BTreeMap<State, u64>>;
+    fn stage_times(&self) -> QueueFuture<'_, Vec<StageTime>>;
+    fn figures(&self) -> QueueFuture<'_, Figures>;
 
     // A worker's side.
 
     /// Gives the first claimable job to `owner`, if there is one.
-    fn claim<'a>(&'a self, owner: &'a str) -> Answer<'a, Option<(Lease, Job)>>;
+    fn claim<'a>(&'a self, owner: &'a str) -> QueueFuture<'a, Option<(Lease, Job)>>;
     /// Reads how the lease stands.
-    fn standing<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing>;
+    fn standing<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing>;
     /// Renews the lease.
-    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing>;
+    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing>;
     /// Writes progress and renews the lease.
-    fn report<'a>(&'a self, lease: &'a Lease, report: &'a ProgressReport) -> Answer<'a, Standing>;
+    fn report<'a>(&'a self, lease: &'a Lease, report: &'a ProgressReport) -> QueueFuture<'a, Standing>;
     /// Tells that a checkpoint was written which holds so much of the whole job, 0 to 1.
-    fn saved<'a>(&'a self, lease: &'a Lease, progress: f64) -> Answer<'a, Standing>;
+    fn saved<'a>(&'a self, lease: &'a Lease, progress: f64) -> QueueFuture<'a, Standing>;
     /// Tells that there is a new picture of the avatar, by the name of its file, made at this point of the fit.
-    fn show<'a>(&'a self, lease: &'a Lease, preview: &'a str, at: &'a ProgressReport) -> Answer<'a, Standing>;
-    fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> Answer<'a, Standing>;
+    fn show<'a>(&'a self, lease: &'a Lease, preview: &'a str, at: &'a ProgressReport) -> QueueFuture<'a, Standing>;
+    fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> QueueFuture<'a, Standing>;
     /// running, canceling → succeeded; the avatar appears in the same transaction. A wish to cancel that came after the
     /// last iteration comes too late.
-    fn succeed<'a>(&'a self, lease: &'a Lease, avatar: NewAvatar) -> Answer<'a, Standing>;
+    fn succeed<'a>(&'a self, lease: &'a Lease, avatar: NewAvatar) -> QueueFuture<'a, Standing>;
     /// The attempt ended badly: canceling → canceled; else failed, or queued again after a wait where `repeat` allows
     /// it and attempts are left.
-    fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: Repeat) -> Answer<'a, Standing>;
+    fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: Repeat) -> QueueFuture<'a, Standing>;
     /// running → queued at once, the attempt not counted: the worker shuts down. canceling → canceled.
-    fn give_back<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing>;
+    fn give_back<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing>;
     /// canceling → canceled: the fit has stopped.
-    fn confirm_cancel<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing>;
+    fn confirm_cancel<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing>;
 
     // The reaper's side.
 
     /// Takes back leases that ran out, fails jobs that passed their deadline, expires what retention has ended, deletes
     /// what was wished away.
-    fn reap(&self) -> Answer<'_, Reaped>;
+    fn reap(&self) -> QueueFuture<'_, Reaped>;
     /// Who holds leases.
-    fn owners(&self) -> Answer<'_, Vec<String>>;
+    fn owners(&self) -> QueueFuture<'_, Vec<String>>;
     /// Takes back all leases of a worker that is known to be dead.
-    fn release_owner<'a>(&'a self, owner: &'a str) -> Answer<'a, Vec<Uuid>>;
+    fn release_owner<'a>(&'a self, owner: &'a str) -> QueueFuture<'a, Vec<Uuid>>;
 }

@@ -2,16 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use futures_util::future::BoxFuture;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 use uuid::Uuid;
 
 use super::super::keys::{Key, Keys, NewKey, Quota, Token};
+use super::super::queue::QueueFuture;
 use super::super::{QueueError, Timestamp};
 use super::{SqliteQueue, Tx, rows};
-
-type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
 
 /// `?1` is the present time.
 const ALIVE: &str = "revoked_at IS NULL AND (expires_at IS NULL OR expires_at > ?1)";
@@ -159,30 +157,30 @@ fn key(row: &SqliteRow) -> Result<Key, QueueError> {
 }
 
 impl Keys for SqliteQueue {
-    fn create_key<'a>(&'a self, key: &'a NewKey, token: &'a Token) -> Answer<'a, Option<Key>> {
+    fn create_key<'a>(&'a self, key: &'a NewKey, token: &'a Token) -> QueueFuture<'a, Option<Key>> {
         Box::pin(self.create_key(key, token))
     }
 
-    fn list_keys(&self) -> Answer<'_, Vec<Key>> {
+    fn list_keys(&self) -> QueueFuture<'_, Vec<Key>> {
         Box::pin(async {
             let rows = sqlx::query("SELECT * FROM api_keys ORDER BY id").fetch_all(&self.readers).await?;
             rows.iter().map(key).collect()
         })
     }
 
-    fn revoke_key<'a>(&'a self, name_or_id: &'a str) -> Answer<'a, Option<Key>> {
+    fn revoke_key<'a>(&'a self, name_or_id: &'a str) -> QueueFuture<'a, Option<Key>> {
         Box::pin(self.revoke_key(name_or_id))
     }
 
-    fn key_of<'a>(&'a self, token: &'a Token) -> Answer<'a, Option<Key>> {
+    fn key_of<'a>(&'a self, token: &'a Token) -> QueueFuture<'a, Option<Key>> {
         Box::pin(self.living("token_sha256 = ?2", token.sha256()))
     }
 
-    fn living_key(&self, id: Uuid) -> Answer<'_, Option<Key>> {
+    fn living_key(&self, id: Uuid) -> QueueFuture<'_, Option<Key>> {
         Box::pin(self.living("id = ?2", id))
     }
 
-    fn any_living_key(&self) -> Answer<'_, bool> {
+    fn any_living_key(&self) -> QueueFuture<'_, bool> {
         Box::pin(async {
             let sql = format!("SELECT EXISTS (SELECT 1 FROM api_keys WHERE {ALIVE})");
             let query = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(self.env.now().0);
@@ -190,15 +188,15 @@ impl Keys for SqliteQueue {
         })
     }
 
-    fn owner_of(&self, job: Uuid) -> Answer<'_, Option<Option<Uuid>>> {
+    fn owner_of(&self, job: Uuid) -> QueueFuture<'_, Option<Option<Uuid>>> {
         Box::pin(async move { rows::owner(&mut *self.readers.acquire().await?, job).await })
     }
 
-    fn kept_bytes(&self, key: Uuid) -> Answer<'_, u64> {
+    fn kept_bytes(&self, key: Uuid) -> QueueFuture<'_, u64> {
         Box::pin(self.kept_bytes(key))
     }
 
-    fn secret<'a>(&'a self, name: &'a str, fresh: [u8; 32]) -> Answer<'a, Vec<u8>> {
+    fn secret<'a>(&'a self, name: &'a str, fresh: [u8; 32]) -> QueueFuture<'a, Vec<u8>> {
         Box::pin(self.secret(name, fresh))
     }
 }

@@ -22,11 +22,11 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::time::Duration;
 
-use futures_util::future::BoxFuture;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
 use sqlx::{Sqlite, SqlitePool, Transaction};
 use uuid::Uuid;
 
+use super::queue::QueueFuture;
 use super::{
     Avatar, Change, Deletion, Env, Event, Figures, Insertion, Job, JobError, Lease, ListFilter, NewAvatar, NewJob,
     Policy, ProgressReport, Queue, QueueError, Reaped, Remembered, Repeat, StageTime, Standing, State,
@@ -47,7 +47,6 @@ pub struct SqliteQueue {
 }
 
 type Tx = Transaction<'static, Sqlite>;
-type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
 
 impl SqliteQueue {
     /// Opens or makes the database and brings its schema to this version.
@@ -92,115 +91,115 @@ impl SqliteQueue {
 
 // Methods of one's own go before those of a trait: each of these calls the one of its name.
 impl Queue for SqliteQueue {
-    fn insert(&self, job: NewJob) -> Answer<'_, Insertion> {
+    fn insert(&self, job: NewJob) -> QueueFuture<'_, Insertion> {
         Box::pin(self.insert(job))
     }
 
-    fn is_full(&self) -> Answer<'_, bool> {
+    fn is_full(&self) -> QueueFuture<'_, bool> {
         Box::pin(self.is_full())
     }
 
-    fn remembered<'a>(&'a self, key: &'a str) -> Answer<'a, Option<Remembered>> {
+    fn remembered<'a>(&'a self, key: &'a str) -> QueueFuture<'a, Option<Remembered>> {
         Box::pin(self.remembered(key))
     }
 
-    fn get(&self, id: Uuid) -> Answer<'_, Option<Job>> {
+    fn get(&self, id: Uuid) -> QueueFuture<'_, Option<Job>> {
         Box::pin(self.get(id))
     }
 
-    fn list(&self, filter: ListFilter) -> Answer<'_, Vec<Job>> {
+    fn list(&self, filter: ListFilter) -> QueueFuture<'_, Vec<Job>> {
         Box::pin(self.list(filter))
     }
 
-    fn cancel(&self, id: Uuid) -> Answer<'_, Change> {
+    fn cancel(&self, id: Uuid) -> QueueFuture<'_, Change> {
         Box::pin(self.cancel(id))
     }
 
-    fn retry(&self, id: Uuid) -> Answer<'_, Change> {
+    fn retry(&self, id: Uuid) -> QueueFuture<'_, Change> {
         Box::pin(self.retry(id))
     }
 
-    fn delete(&self, id: Uuid) -> Answer<'_, Deletion> {
+    fn delete(&self, id: Uuid) -> QueueFuture<'_, Deletion> {
         Box::pin(self.delete(id))
     }
 
-    fn events(&self, job: Uuid, after: i64, limit: u32) -> Answer<'_, Vec<Event>> {
+    fn events(&self, job: Uuid, after: i64, limit: u32) -> QueueFuture<'_, Vec<Event>> {
         Box::pin(self.events(job, after, limit))
     }
 
-    fn last_event(&self) -> Answer<'_, i64> {
+    fn last_event(&self) -> QueueFuture<'_, i64> {
         Box::pin(self.last_event())
     }
 
-    fn avatar(&self, id: Uuid) -> Answer<'_, Option<Avatar>> {
+    fn avatar(&self, id: Uuid) -> QueueFuture<'_, Option<Avatar>> {
         Box::pin(self.avatar(id))
     }
 
-    fn counts(&self) -> Answer<'_, BTreeMap<State, u64>> {
+    fn counts(&self) -> QueueFuture<'_, BTreeMap<State, u64>> {
         Box::pin(self.counts())
     }
 
-    fn stage_times(&self) -> Answer<'_, Vec<StageTime>> {
+    fn stage_times(&self) -> QueueFuture<'_, Vec<StageTime>> {
         Box::pin(self.stage_times())
     }
 
-    fn figures(&self) -> Answer<'_, Figures> {
+    fn figures(&self) -> QueueFuture<'_, Figures> {
         Box::pin(self.figures())
     }
 
-    fn claim<'a>(&'a self, owner: &'a str) -> Answer<'a, Option<(Lease, Job)>> {
+    fn claim<'a>(&'a self, owner: &'a str) -> QueueFuture<'a, Option<(Lease, Job)>> {
         Box::pin(self.claim(owner))
     }
 
-    fn standing<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
+    fn standing<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing> {
         Box::pin(self.standing(lease))
     }
 
-    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
+    fn heartbeat<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing> {
         Box::pin(self.heartbeat(lease))
     }
 
-    fn report<'a>(&'a self, lease: &'a Lease, report: &'a ProgressReport) -> Answer<'a, Standing> {
+    fn report<'a>(&'a self, lease: &'a Lease, report: &'a ProgressReport) -> QueueFuture<'a, Standing> {
         Box::pin(self.report(lease, report))
     }
 
-    fn saved<'a>(&'a self, lease: &'a Lease, progress: f64) -> Answer<'a, Standing> {
+    fn saved<'a>(&'a self, lease: &'a Lease, progress: f64) -> QueueFuture<'a, Standing> {
         Box::pin(self.saved(lease, progress))
     }
 
-    fn show<'a>(&'a self, lease: &'a Lease, preview: &'a str, at: &'a ProgressReport) -> Answer<'a, Standing> {
+    fn show<'a>(&'a self, lease: &'a Lease, preview: &'a str, at: &'a ProgressReport) -> QueueFuture<'a, Standing> {
         Box::pin(self.show(lease, preview, at))
     }
 
-    fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> Answer<'a, Standing> {
+    fn add_stage_time<'a>(&'a self, lease: &'a Lease, stage: &'a str, secs: f64) -> QueueFuture<'a, Standing> {
         Box::pin(self.add_stage_time(lease, stage, secs))
     }
 
-    fn succeed<'a>(&'a self, lease: &'a Lease, avatar: NewAvatar) -> Answer<'a, Standing> {
+    fn succeed<'a>(&'a self, lease: &'a Lease, avatar: NewAvatar) -> QueueFuture<'a, Standing> {
         Box::pin(self.succeed(lease, avatar))
     }
 
-    fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: Repeat) -> Answer<'a, Standing> {
+    fn fail<'a>(&'a self, lease: &'a Lease, error: JobError, repeat: Repeat) -> QueueFuture<'a, Standing> {
         Box::pin(self.fail(lease, error, repeat))
     }
 
-    fn give_back<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
+    fn give_back<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing> {
         Box::pin(self.give_back(lease))
     }
 
-    fn confirm_cancel<'a>(&'a self, lease: &'a Lease) -> Answer<'a, Standing> {
+    fn confirm_cancel<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing> {
         Box::pin(self.confirm_cancel(lease))
     }
 
-    fn reap(&self) -> Answer<'_, Reaped> {
+    fn reap(&self) -> QueueFuture<'_, Reaped> {
         Box::pin(self.reap())
     }
 
-    fn owners(&self) -> Answer<'_, Vec<String>> {
+    fn owners(&self) -> QueueFuture<'_, Vec<String>> {
         Box::pin(self.owners())
     }
 
-    fn release_owner<'a>(&'a self, owner: &'a str) -> Answer<'a, Vec<Uuid>> {
+    fn release_owner<'a>(&'a self, owner: &'a str) -> QueueFuture<'a, Vec<Uuid>> {
         Box::pin(self.release_owner(owner))
     }
 }

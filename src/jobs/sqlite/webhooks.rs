@@ -1,11 +1,11 @@
 //! Webhooks in the same file: a change of a job and the messages about it are one transaction.
 
-use futures_util::future::BoxFuture;
 use serde_json::json;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, SqliteConnection};
 use uuid::Uuid;
 
+use super::super::queue::QueueFuture;
 use super::super::webhooks::{
     Attempt, Delivery, Due, KEPT, MOST_OF_A_KEY, NewWebhook, Places, SCHEDULE, TOLD, Webhook, Webhooks, event_type,
 };
@@ -14,8 +14,6 @@ use super::{SqliteQueue, rows};
 
 /// Part of every attempt.
 pub(super) const FORGET: &str = "DELETE FROM deliveries WHERE next_at IS NULL AND created_at < ?";
-
-type Answer<'a, T> = BoxFuture<'a, Result<T, QueueError>>;
 
 /// Writes the messages about a job that has just come to its state. Webhooks of a revoked key hear nothing.
 pub(super) async fn tell(connection: &mut SqliteConnection, job: &Job) -> Result<(), QueueError> {
@@ -212,31 +210,31 @@ fn delivery(row: &SqliteRow) -> Result<Delivery, QueueError> {
 }
 
 impl Webhooks for SqliteQueue {
-    fn create_webhook(&self, new: NewWebhook) -> Answer<'_, Webhook> {
+    fn create_webhook(&self, new: NewWebhook) -> QueueFuture<'_, Webhook> {
         Box::pin(self.create_webhook(new))
     }
 
-    fn webhooks(&self, only: Option<Uuid>) -> Answer<'_, Vec<Webhook>> {
+    fn webhooks(&self, only: Option<Uuid>) -> QueueFuture<'_, Vec<Webhook>> {
         Box::pin(self.find_webhooks(None, only))
     }
 
-    fn webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, Option<Webhook>> {
+    fn webhook(&self, id: Uuid, only: Option<Uuid>) -> QueueFuture<'_, Option<Webhook>> {
         Box::pin(async move { Ok(self.find_webhooks(Some(id), only).await?.pop()) })
     }
 
-    fn delete_webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, bool> {
+    fn delete_webhook(&self, id: Uuid, only: Option<Uuid>) -> QueueFuture<'_, bool> {
         Box::pin(self.delete_webhook(id, only))
     }
 
-    fn deliveries(&self, webhook: Uuid, limit: u32) -> Answer<'_, Vec<Delivery>> {
+    fn deliveries(&self, webhook: Uuid, limit: u32) -> QueueFuture<'_, Vec<Delivery>> {
         Box::pin(self.deliveries(webhook, limit))
     }
 
-    fn due(&self, places: Places) -> Answer<'_, Vec<Due>> {
+    fn due(&self, places: Places) -> QueueFuture<'_, Vec<Due>> {
         Box::pin(self.due(places))
     }
 
-    fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> Answer<'a, ()> {
+    fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> QueueFuture<'a, ()> {
         Box::pin(self.attempted(delivery, attempt))
     }
 }

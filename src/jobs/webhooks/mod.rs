@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use uuid::Uuid;
 
-use super::queue::Answer;
+use super::queue::QueueFuture;
 use super::{State, Timestamp};
 
 pub use address::{AddressError, check_url, is_public};
@@ -104,18 +104,18 @@ pub enum Attempt {
 /// The webhooks of a service. `only` limits a call to those of a key.
 pub trait Webhooks: Send + Sync + 'static {
     /// Refused beyond [`MOST_OF_A_KEY`].
-    fn create_webhook(&self, new: NewWebhook) -> Answer<'_, Webhook>;
+    fn create_webhook(&self, new: NewWebhook) -> QueueFuture<'_, Webhook>;
     /// The newest first.
-    fn webhooks(&self, only: Option<Uuid>) -> Answer<'_, Vec<Webhook>>;
-    fn webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, Option<Webhook>>;
+    fn webhooks(&self, only: Option<Uuid>) -> QueueFuture<'_, Vec<Webhook>>;
+    fn webhook(&self, id: Uuid, only: Option<Uuid>) -> QueueFuture<'_, Option<Webhook>>;
     /// With all its deliveries; false where there is none.
-    fn delete_webhook(&self, id: Uuid, only: Option<Uuid>) -> Answer<'_, bool>;
+    fn delete_webhook(&self, id: Uuid, only: Option<Uuid>) -> QueueFuture<'_, bool>;
     /// The newest first.
-    fn deliveries(&self, webhook: Uuid, limit: u32) -> Answer<'_, Vec<Delivery>>;
+    fn deliveries(&self, webhook: Uuid, limit: u32) -> QueueFuture<'_, Vec<Delivery>>;
     /// What is to be sent now, no more than there are places. Keys take turns, and so do the webhooks of each, which send
     /// what is longest due first. Webhooks that belong to no key count as those of one.
-    fn due(&self, places: Places) -> Answer<'_, Vec<Due>>;
+    fn due(&self, places: Places) -> QueueFuture<'_, Vec<Due>>;
     /// Writes what came of an attempt: over, or due again by [`SCHEDULE`]. 410 disables the webhook, and nothing more of it
     /// waits.
-    fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> Answer<'a, ()>;
+    fn attempted<'a>(&'a self, delivery: &'a str, attempt: &'a Attempt) -> QueueFuture<'a, ()>;
 }
