@@ -8,11 +8,29 @@ pub fn data_dir() -> PathBuf {
     choose(|name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from))
 }
 
-/// The file of a named body. Whatever is no letter, digit, `-` or `_` in the name becomes `_`, so that no name leads
-/// out of the folder.
+/// What [`is_body_name`] takes, for errors.
+pub const BODY_NAME: &str = "1 to 64 letters, digits, hyphens or underscores";
+
+const MAX_NAME_LEN: usize = 64;
+
+/// Whether a body may be called so: a job names it in its options, and the name becomes a file name.
+pub fn is_body_name(name: &str) -> bool {
+    (1..=MAX_NAME_LEN).contains(&name.len()) && name.chars().all(is_plain)
+}
+
+fn is_plain(c: char) -> bool {
+    c.is_ascii_alphanumeric() || c == '-' || c == '_'
+}
+
+/// The name that is nearest to a text: whatever is no letter, digit, `-` or `_` becomes `_`, and what is too long is cut.
+pub fn body_name(text: &str) -> String {
+    let name: String = text.chars().take(MAX_NAME_LEN).map(|c| if is_plain(c) { c } else { '_' }).collect();
+    if name.is_empty() { "_".to_owned() } else { name }
+}
+
+/// The file of a named body. No name leads out of the folder.
 pub fn body_path(name: &str) -> PathBuf {
-    let name: String = name.chars().map(|c| if c.is_alphanumeric() || c == '-' { c } else { '_' }).collect();
-    data_dir().join("bodies").join(format!("{name}.body.npz"))
+    data_dir().join("bodies").join(format!("{}.body.npz", body_name(name)))
 }
 
 fn choose(variable: impl Fn(&str) -> Option<PathBuf>) -> PathBuf {
@@ -33,6 +51,21 @@ mod tests {
             assert_eq!(body_path(name).parent(), Some(folder.as_path()), "{name}");
         }
         assert!(body_path("smpl-neutral").ends_with("bodies/smpl-neutral.body.npz"));
+    }
+
+    #[test]
+    fn whatever_a_body_is_called_after_its_name_is_one() {
+        let long = "x".repeat(65);
+        for (text, expected) in [
+            ("smpl-neutral", "smpl-neutral"),
+            ("lbs-10-207-0-v1.1.0", "lbs-10-207-0-v1_1_0"),
+            ("körper (1)", "k_rper__1_"),
+            ("", "_"),
+            (&long, &long[..64]),
+        ] {
+            assert_eq!(body_name(text), expected);
+            assert!(is_body_name(expected) && is_body_name(text) == (text == expected), "{text}");
+        }
     }
 
     #[test]

@@ -22,7 +22,8 @@ enum Command {
         /// Where to write it; by default among the bodies of the data directory.
         #[arg(long)]
         out: Option<PathBuf>,
-        /// The body's name; by default `default` for the wheel and the file's own name else.
+        /// The body's name (letters, digits, `-` and `_`, as jobs give it); by default `default` for the wheel and the
+        /// file's own name else.
         #[arg(long)]
         name: Option<String>,
         /// Take a wheel whose checksum is not the known one.

