@@ -56,11 +56,11 @@ pub fn in_place_of(path: &std::path::Path) -> std::io::Result<tempfile::NamedTem
     builder.tempfile_in(folder)
 }
 
-/// The arrays of an archive. Entries that are not numeric arrays (strings, objects) are kept as names only.
+/// The arrays of an archive. Entries that are not numeric arrays (strings, objects) are kept as names with reasons.
 #[derive(Clone, Debug, Default)]
 pub struct Npz {
     pub arrays: BTreeMap<String, Array>,
-    pub skipped: Vec<String>,
+    pub skipped: BTreeMap<String, String>,
 }
 
 impl Npz {
@@ -80,7 +80,9 @@ impl Npz {
                     left -= array.data.len();
                     npz.arrays.insert(name, array);
                 }
-                Ok(None) => npz.skipped.push(name),
+                Ok(None) => {
+                    npz.skipped.insert(name, "no array of float32, float64 or integers".to_owned());
+                }
                 Err(reason) => return Err(NpzError::Array { array: name, reason }),
             }
         }

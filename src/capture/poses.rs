@@ -62,7 +62,7 @@ fn parse(npz: &Npz) -> Result<(KnownPoses, Vec<String>), BadInput> {
 
 /// Why none of `names` is there: an array of another type is no array of numbers to the reader.
 fn missing(npz: &Npz, names: &[&str]) -> BadInput {
-    match npz.skipped.iter().find(|name| names.contains(&name.as_str())) {
+    match npz.skipped.keys().find(|name| names.contains(&name.as_str())) {
         Some(name) => bad(format!("`{name}` is no array of float32, float64 or integers"), EXPECTED),
         None if names.len() == 1 => bad(format!("`{}` is missing", names[0]), EXPECTED),
         None => bad("`trans` or `pelvis` is missing", EXPECTED),
@@ -112,7 +112,7 @@ mod tests {
     fn npz(arrays: &[(&str, &[usize], f64)]) -> Npz {
         let array = |shape: &[usize], value| Array::new(shape, vec![value; shape.iter().product()]);
         let arrays = arrays.iter().map(|(name, shape, value)| ((*name).to_owned(), array(shape, *value)));
-        Npz { arrays: arrays.collect(), skipped: Vec::new() }
+        Npz { arrays: arrays.collect(), ..Npz::default() }
     }
 
     #[test]
@@ -136,13 +136,14 @@ mod tests {
 
     #[test]
     fn what_is_no_pose_is_refused() {
+        let skipped = |name: &str| [(name.to_owned(), "objects".to_owned())].into();
         for (arrays, message) in [
             (npz(&[("trans", &[2, 3], 0.0)]), "`poses` is missing"),
             (npz(&[("poses", &[2, 71], 0.0), ("trans", &[2, 3], 0.0)]), "`poses` has shape [2, 71]"),
             (npz(&[("poses", &[2, 60], 0.0), ("trans", &[2, 3], 0.0)]), "`poses` has shape [2, 60]"),
             (npz(&[("poses", &[2, 72], 0.0)]), "`trans` or `pelvis` is missing"),
-            (Npz { skipped: vec!["poses".into()], ..npz(&[]) }, "`poses` is no array of float32"),
-            (Npz { skipped: vec!["transl".into()], ..npz(&[("poses", &[2, 72], 0.0)]) }, "`transl` is no array"),
+            (Npz { skipped: skipped("poses"), ..npz(&[]) }, "`poses` is no array of float32"),
+            (Npz { skipped: skipped("transl"), ..npz(&[("poses", &[2, 72], 0.0)]) }, "`transl` is no array"),
             (npz(&[("poses", &[2, 72], 0.0), ("trans", &[3, 3], 0.0)]), "`trans` has shape [3, 3]"),
             (npz(&[("poses", &[2, 72], f64::NAN), ("trans", &[2, 3], 0.0)]), "`poses` holds NaN"),
             (npz(&[("poses", &[2, 72], 0.0), ("trans", &[2, 3], 5000.0)]), "`trans` holds 5000"),

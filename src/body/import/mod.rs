@@ -70,7 +70,8 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Imported, ImportEr
         Some("whl") => wheel::import(bytes, options)?,
         Some("npz") => smpl(&Npz::read(std::io::Cursor::new(bytes), MAX_VALUES)?)?,
         Some("pkl") => {
-            let arrays = pickle::parse(&bytes).and_then(|pickle| pickled_arrays::dictionary(&pickle.value));
+            let arrays = pickle::parse(&bytes)
+                .and_then(|pickle| pickled_arrays::dictionary(&pickle.value, &smpl::NAMES, MAX_VALUES));
             smpl(&arrays.map_err(|reason| bad("pickle", reason))?)?
         }
         _ => return Err(ImportError::UnknownKind(path.display().to_string())),

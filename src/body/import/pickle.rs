@@ -84,7 +84,15 @@ impl Value {
     /// The value of a dictionary's key.
     pub fn get(&self, key: &str) -> Option<Value> {
         let Value::Dict(entries) = self else { return None };
-        entries.borrow().iter().rev().find(|(k, _)| k.string().as_deref() == Some(key)).map(|(_, v)| v.clone())
+        entries.borrow().iter().rev().find(|(k, _)| k.is_text(key)).map(|(_, v)| v.clone())
+    }
+
+    fn is_text(&self, text: &str) -> bool {
+        match self {
+            Value::Text(own) => **own == *text,
+            Value::Bytes(bytes) => bytes.as_slice() == text.as_bytes(),
+            _ => false,
+        }
     }
 }
 

@@ -14,6 +14,10 @@ const ANY: usize = usize::MAX;
 /// Shape components to keep: as many as motion libraries give betas for.
 const MAX_BETAS: usize = 16;
 
+/// All arrays that a body is made of, by each of their usual names.
+pub const NAMES: [&str; 9] =
+    ["v_template", "weights", "lbs_weights", "kintree_table", "f", "faces", "shapedirs", "J_regressor", "posedirs"];
+
 /// Body joints that all models share.
 const N_SHARED: usize = 22;
 
@@ -82,15 +86,22 @@ fn landmarks(n_vertices: usize) -> Result<Landmarks, ImportError> {
     })
 }
 
+/// The one of an array's usual names that it has here. What is there and could not be read is an error.
+fn name_in<'a>(model: &Npz, names: &[&'a str]) -> Result<Option<&'a str>, ImportError> {
+    debug_assert!(names.iter().all(|name| NAMES.contains(name)), "{names:?}");
+    if let Some(name) = names.iter().find(|name| model.arrays.contains_key(**name)) {
+        return Ok(Some(name));
+    }
+    match names.iter().find_map(|name| model.skipped.get_key_value(*name)) {
+        Some((name, reason)) => Err(bad(name, reason)),
+        None => Ok(None),
+    }
+}
+
 /// The array under the first of its usual names, with this shape.
 fn named<'a>(model: &'a Npz, names: &[&str], shape: &[usize]) -> Result<&'a Array, ImportError> {
-    match names.iter().find(|name| model.arrays.contains_key(**name)) {
-        Some(name) => Ok(model.shaped(name, shape)?),
-        None if model.skipped.iter().any(|name| name == names[0]) => {
-            Err(bad(names[0], "stored as a Python object, expected numbers"))
-        }
-        None => Err(bad(names[0], "missing")),
-    }
+    let name = name_in(model, names)?.ok_or_else(|| bad(names[0], "missing"))?;
+    Ok(model.shaped(name, shape)?)
 }
 
 /// The body of a model's arrays.
@@ -319,13 +330,13 @@ mod tests {
             body(&model, "smpl").unwrap_err().to_string()
         };
         assert_eq!(error(|m| drop(m.arrays.remove("f"))), "f: missing");
-        assert_eq!(
-            error(|m| {
-                m.arrays.remove("J_regressor");
-                m.skipped.push("J_regressor".to_owned());
-            }),
-            "J_regressor: stored as a Python object, expected numbers"
-        );
+        let reason = "an object of chumpy.reordering.transpose without `x`, expected numbers";
+        for name in ["shapedirs", "weights", "J_regressor"] {
+            let mut model = model(24, 2);
+            model.arrays.remove(name);
+            model.skipped.insert(name.to_owned(), reason.to_owned());
+            assert_eq!(body(&model, "smpl").unwrap_err().to_string(), format!("{name}: {reason}"));
+        }
         let odd = error(|m| drop(m.arrays.insert("v_template".to_owned(), Array::new(&[1, 3], vec![0.0; 3]))));
         assert_eq!(odd, "v_template: 1 vertices, expected 6890 (SMPL, SMPL-H) or 10475 (SMPL-X)");
         let tree = error(|m| m.arrays.get_mut("kintree_table").unwrap().data[5] = 0.0);
