@@ -187,9 +187,10 @@ fn regress(regressor: &Array, reduction: &Reduction, values: &[f64]) -> Vec<f32>
     out
 }
 
-/// `[207, V·3]`, or empty where the model has none.
+/// `[207, V·3]`, or empty where the model has none. Unreadable ones are not none: the body would bend without them.
 fn posedirs(model: &Npz, reduction: &Reduction, n_vertices: usize) -> Result<Vec<f32>, ImportError> {
-    let Some(array) = model.arrays.get("posedirs") else { return Ok(Vec::new()) };
+    let Some(name) = name_in(model, &["posedirs"])? else { return Ok(Vec::new()) };
+    let array = model.get(name)?;
     let (n_features, n) = ((reduction.n_joints - 1) * 9, n_vertices * 3);
     // The files have [V, 3, features]; what is prepared for PyTorch has [features, V·3].
     let (feature_stride, value_stride) = match array.shape[..] {
@@ -331,7 +332,7 @@ mod tests {
         };
         assert_eq!(error(|m| drop(m.arrays.remove("f"))), "f: missing");
         let reason = "an object of chumpy.reordering.transpose without `x`, expected numbers";
-        for name in ["shapedirs", "weights", "J_regressor"] {
+        for name in ["posedirs", "shapedirs", "weights", "J_regressor"] {
             let mut model = model(24, 2);
             model.arrays.remove(name);
             model.skipped.insert(name.to_owned(), reason.to_owned());
