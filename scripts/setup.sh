@@ -16,18 +16,31 @@ need python3 python3
 python3 -m pip --version >/dev/null 2>&1 || missing+=(python3-pip)
 # The client for webhooks, which the tests use too, wants them.
 [ -s /etc/ssl/certs/ca-certificates.crt ] || missing+=(ca-certificates)
-ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1' || missing+=(libvulkan1)
-drivers=$(find /usr/share/vulkan/icd.d /etc/vulkan/icd.d /usr/local -name '*icd*.json' 2>/dev/null | head -1 || true)
+# Debian gives users no /sbin. The list is searched once it is whole: a search that ends at its find breaks the pipe, which
+# under pipefail looks as if nothing had been found.
+libs=$(PATH=$PATH:/usr/sbin:/sbin ldconfig -p 2>/dev/null || true)
+[[ $libs == *libvulkan.so.1* ]] || missing+=(libvulkan1)
+drivers=$(find /usr/share/vulkan/icd.d /etc/vulkan/icd.d /usr/local -name '*icd*.json' -print -quit 2>/dev/null || true)
 [ -n "$drivers" ] || missing+=(mesa-vulkan-drivers)
 
 [ ${#missing[@]} -eq 0 ] && exit 0
-if ! command -v apt-get >/dev/null 2>&1; then
-    echo "These packages are missing and there is no apt-get to install them: ${missing[*]}" >&2
+give_up() { # give_up WHY: the packages stay missing
+    echo "These packages are missing: ${missing[*]}" >&2
+    echo "$1" >&2
     exit 1
-fi
+}
+command -v apt-get >/dev/null 2>&1 || give_up "There is no apt-get to install them: install them as this system does."
 as_root=()
-[ "$(id -u)" -eq 0 ] || as_root=(sudo)
+if [ "$(id -u)" -ne 0 ]; then
+    command -v sudo >/dev/null 2>&1 ||
+        give_up "Only root may install them, and there is no sudo: as root, apt-get install ${missing[*]}"
+    as_root=(sudo)
+fi
+# sudo hands no variables on.
+apt() {
+    "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -q "$@"
+}
 echo "Installing ${missing[*]}"
-export DEBIAN_FRONTEND=noninteractive
-"${as_root[@]}" apt-get update -q
-"${as_root[@]}" apt-get install -qy --no-install-recommends "${missing[@]}"
+# A source that is out of reach may have nothing to do with these packages, and old lists may do.
+apt update || echo "apt-get update failed; trying with the lists that are there" >&2
+apt install -y --no-install-recommends "${missing[@]}" || give_up "apt-get could not install them."
