@@ -3,14 +3,14 @@
 PROFILE_DIR := $(or $(CARGO_TARGET_DIR),target)/debug
 EFFIGY := $(PROFILE_DIR)/effigy
 
-.PHONY: demo test test-lpips torture fuzz results setup build lint body openapi validate-glb
+.PHONY: demo test test-lpips torture fuzz results setup setup-tests build lint body openapi validate-glb
 
 ## The main job for real: server, upload, fit, avatar, renders. CLIP=folder uses your own clip.
 demo: setup build
 	scripts/demo.sh "$(EFFIGY)"
 
 ## Formatting, lints, all tests.
-test: setup
+test: setup-tests
 	scripts/test.sh
 
 ## The paper's claims, measured: every study, then docs/results.md.
@@ -38,13 +38,17 @@ fuzz:
 	scripts/fuzz.sh $(FUZZ_SECS) $(FUZZ)
 
 ## Lints and tests of the optional feature: LPIPS by a network that the user gives.
-test-lpips: setup
+test-lpips: setup-tests
 	cargo clippy --locked --all-targets --features lpips -- -D warnings
 	cargo test --locked --lib --features lpips eval::lpips
 
-## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, Node.js, CA certificates).
+## Installs the packages that are missing (FFmpeg, a Vulkan driver, a C compiler, pip, CA certificates).
 setup:
 	scripts/setup.sh
+
+## The same, and what the tests want besides (Node.js, rustfmt, clippy).
+setup-tests:
+	scripts/setup.sh tests
 
 build:
 	cargo build --locked

@@ -1,6 +1,18 @@
 #!/usr/bin/env bash
-# Installs the system packages that are missing, on Debian and Ubuntu. Does nothing where all are there.
+# Installs the system packages that are missing, on Debian and Ubuntu: setup.sh [tests]. With `tests` also what the tests
+# want besides: Node.js, make, rustfmt and clippy. Does nothing where all are there.
 set -euo pipefail
+
+tests=
+[ "${1:-}" != tests ] || tests=yes
+if [ -n "$tests" ] && ! { cargo fmt --version && cargo clippy --version; } >/dev/null 2>&1; then
+    # rustup's minimal profile has neither.
+    if ! command -v rustup >/dev/null 2>&1; then
+        echo "cargo fmt or cargo clippy is missing, and there is no rustup to add it: install both as Rust was installed" >&2
+        exit 1
+    fi
+    rustup component add rustfmt clippy
+fi
 
 missing=()
 need() { # need COMMAND PACKAGE…
@@ -10,9 +22,12 @@ need cc build-essential
 need ffmpeg ffmpeg
 need ffprobe ffmpeg
 need curl curl
-need node nodejs
-need npm npm
 need python3 python3
+if [ -n "$tests" ]; then
+    need make make
+    need node nodejs
+    need npm npm
+fi
 python3 -m pip --version >/dev/null 2>&1 || missing+=(python3-pip)
 # The client for webhooks, which the tests use too, wants them.
 [ -s /etc/ssl/certs/ca-certificates.crt ] || missing+=(ca-certificates)
