@@ -67,5 +67,5 @@ openapi: build
 
 ## The Khronos validator on a file: make validate-glb FILE=demo-out/avatar.glb
 validate-glb:
-	npm ci --prefix tools/gltf-validate --no-audit --no-fund --silent
+	npm ci --prefix tools/gltf-validate --no-audit --no-fund --prefer-offline --loglevel=error
 	node tools/gltf-validate/validate.mjs "$(FILE)"

@@ -5,10 +5,15 @@ cd "$(dirname "$0")/.."
 
 cargo fmt --check
 cargo clippy --locked --all-targets -- -D warnings
-# The Khronos glTF validator, which the tests run on an exported avatar.
-npm ci --prefix tools/gltf-validate --no-audit --no-fund --silent
-# The web's own client of resumable uploads, which the tests run against a server.
-npm ci --prefix tools/tus-client --no-audit --no-fund --silent
+# The Khronos glTF validator, which the tests run on an exported avatar, and the web's own client of resumable uploads,
+# which they run against a server.
+for tool in gltf-validate tus-client; do
+    npm ci --prefix "tools/$tool" --no-audit --no-fund --prefer-offline --loglevel=error && continue
+    [ -z "${CI+set}" ] || exit 1
+    # The tests look for this folder, and half an installation is none.
+    rm -rf "tools/$tool/node_modules"
+    echo "tools/$tool could not be installed: its test is left out (with CI set it is required)" >&2
+done
 cargo test --locked
 # The operators once more as devices with many cores divide them.
 EFFIGY_WIDE_KERNELS=1 cargo test --locked --lib ops::
