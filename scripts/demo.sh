@@ -6,6 +6,7 @@
 #                   (default: a clip made by `effigy synth` of a clothed default body)
 #   PRESET=draft    draft, standard or paper
 #   OUT=demo-out    where the results go
+#   EFFIGY_DEVICE=  a part of the name of the graphics adapter to use
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -26,6 +27,15 @@ for key in sys.argv[1:]:
 print("" if value is None else value)' "$@"
 }
 
+# A service's settings on this machine, a proxy and curl's own file are none of the demo's.
+settings=$(env -i "$effigy" config --config= | sed -n 's/^\([a-z_]*\) = .*/\1/p')
+for key in $settings; do
+    unset "EFFIGY_${key^^}"
+done
+ask() {
+    curl -q -sS --noproxy '*' "$@"
+}
+
 EFFIGY_DATA_DIR=$data scripts/body.sh "$effigy"
 
 clip=${CLIP:-}
@@ -42,30 +52,40 @@ part() { # part NAME: the file of that name in the clip, with any ending
 
 echo "Starting the server"
 log=$out/server.log
-"$effigy" serve --data-dir "$data" --listen 127.0.0.1:0 >"$log" 2>&1 &
+# What an earlier server said names an address too.
+: >"$log"
+"$effigy" serve --config= --data-dir "$data" --listen 127.0.0.1:0 >"$log" 2>&1 &
 server=$!
 trap 'kill "$server" 2>/dev/null || true; wait "$server" 2>/dev/null || true' EXIT
-url=
-for _ in $(seq 100); do
-    url=$(grep -ao 'http://127\.0\.0\.1:[0-9]*' "$log" | head -1 || true)
-    [ -n "$url" ] && curl -fsS "$url/healthz" >/dev/null 2>&1 && break
-    kill -0 "$server" 2>/dev/null || { cat "$log" >&2; exit 1; }
+server_failed() { # server_failed WHAT: with what the server said last
+    echo "$1; $log ends with:" >&2
+    tail -n 20 "$log" >&2
+    exit 1
+}
+healthy=
+for _ in $(seq 300); do
+    url=$(sed -n 's/^listening on //p' "$log")
+    if [ -n "$url" ] && ask -f --max-time 5 "$url/healthz" >/dev/null 2>&1; then
+        healthy=yes
+        break
+    fi
+    kill -0 "$server" 2>/dev/null || server_failed "The server did not start"
     sleep 0.2
 done
-[ -n "$url" ] || { echo "The server did not start:" >&2; cat "$log" >&2; exit 1; }
+[ -n "$healthy" ] || server_failed "The server does not answer${url:+ at $url}"
 echo "Listening on $url"
 
 form=(-F "video=@$(part video)" -F "masks=@$(part masks)" -F "keypoints=@$(part keypoints)")
 [ -f "$clip/camera.json" ] && form+=(-F "camera=@$clip/camera.json")
 [ -f "$clip/poses.npz" ] && form+=(-F "poses=@$clip/poses.npz")
 form+=(-F "options={\"preset\": \"$preset\"};type=application/json")
-answer=$(curl -sS "${form[@]}" "$url/v1/jobs")
+answer=$(ask "${form[@]}" "$url/v1/jobs") || server_failed "The upload failed"
 job=$(printf %s "$answer" | json id)
 [ -n "$job" ] || { echo "The upload was refused: $answer" >&2; exit 1; }
 echo "Job $job"
 
 while :; do
-    status=$(curl -fsS "$url/v1/jobs/$job")
+    status=$(ask -f "$url/v1/jobs/$job") || server_failed "The server does not tell of the job"
     state=$(printf %s "$status" | json state)
     printf '%s' "$status" | python3 -c '
 import json, sys
@@ -84,9 +104,9 @@ done
 avatar=$(printf %s "$status" | json avatar)
 case $avatar in "{"*) avatar=$(printf %s "$status" | json avatar id) ;; esac
 for file in avatar.glb texture.png motion.npz report.json model.npz; do
-    curl -fsS "$url/v1/avatars/$avatar/$file" -o "$out/$file"
+    ask -f "$url/v1/avatars/$avatar/$file" -o "$out/$file"
 done
-curl -fsS "$url/v1/avatars/$avatar/mesh.ply" -o "$out/mesh.ply"
+ask -f "$url/v1/avatars/$avatar/mesh.ply" -o "$out/mesh.ply"
 
 echo "Rendering new poses over HTTP"
 python3 - "$out" <<'PY'
@@ -113,7 +133,7 @@ for name, values in poses.items():
               open(f"{out}/pose_{name}.json", "w"))
 PY
 for name in walk wave squat; do
-    curl -fsS -H 'content-type: application/json' --data-binary "@$out/pose_$name.json" \
+    ask -f -H 'content-type: application/json' --data-binary "@$out/pose_$name.json" \
         "$url/v1/avatars/$avatar/renders" -o "$out/pose_$name.png"
     rm "$out/pose_$name.json"
 done
