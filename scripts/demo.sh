@@ -41,9 +41,12 @@ EFFIGY_DATA_DIR=$data scripts/body.sh "$effigy"
 clip=${CLIP:-}
 if [ -z "$clip" ]; then
     clip=$out/clip
-    if [ ! -f "$clip/keypoints.json" ]; then
+    if [ ! -d "$clip" ]; then
         echo "Making a clip of a clothed person who turns once"
-        EFFIGY_DATA_DIR=$data "$effigy" synth --body default --frames 40 --size 320 --seed 7 --out "$clip"
+        # Under its name once it is whole: one that was interrupted is made anew.
+        rm -rf "$clip.part"
+        EFFIGY_DATA_DIR=$data "$effigy" synth --body default --frames 40 --size 320 --seed 7 --out "$clip.part"
+        mv "$clip.part" "$clip"
     fi
 fi
 part() { # part NAME: the file of that name in the clip, with any ending
@@ -74,6 +77,18 @@ for _ in $(seq 300); do
 done
 [ -n "$healthy" ] || server_failed "The server does not answer${url:+ at $url}"
 echo "Listening on $url"
+
+# Jobs that an interrupted demo left are older and would go first.
+for state in queued running; do
+    ask -f "$url/v1/jobs?state=$state&limit=200" | python3 -c '
+import json, sys
+for job in json.load(sys.stdin)["jobs"]:
+    print(job["id"])' | while read -r left; do
+        echo "Canceling job $left, which an earlier demo left"
+        # One that ends meanwhile cannot be canceled, and need not be.
+        ask -X POST "$url/v1/jobs/$left/cancel" >/dev/null
+    done
+done
 
 form=(-F "video=@$(part video)" -F "masks=@$(part masks)" -F "keypoints=@$(part keypoints)")
 [ -f "$clip/camera.json" ] && form+=(-F "camera=@$clip/camera.json")
