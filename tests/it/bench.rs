@@ -1,10 +1,8 @@
 //! `effigy bench` as a user runs it.
 
-use std::process::Command;
-
 #[test]
 fn a_report_has_a_line_for_each_operator_that_was_asked_for() {
-    let output = Command::new(env!("CARGO_BIN_EXE_effigy"))
+    let output = crate::program::effigy()
         .args(["bench", "interpolate", "--size", "32", "--repeats", "1", "--json"])
         .env("EFFIGY_DATA_DIR", env!("CARGO_TARGET_TMPDIR"))
         .output()

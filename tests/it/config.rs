@@ -1,14 +1,9 @@
 //! Settings through the program itself.
 
-use std::process::Command;
+use crate::program::effigy;
 
 fn config(arguments: &[&str], variables: &[(&str, &str)]) -> (bool, String, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_effigy"));
-    // The user's own file and variables are none of this test's.
-    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("EFFIGY_")) {
-        command.env_remove(name);
-    }
-    let output = command.arg("config").args(arguments).envs(variables.iter().copied()).output().unwrap();
+    let output = effigy().arg("config").args(arguments).envs(variables.iter().copied()).output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
     (output.status.success(), text(output.stdout), text(output.stderr))
 }

@@ -15,7 +15,7 @@ fn text(name: &str) -> String {
 }
 
 fn effigy(arguments: &[&str]) -> std::process::Output {
-    Command::new(env!("CARGO_BIN_EXE_effigy")).args(arguments).output().unwrap()
+    crate::program::effigy().args(arguments).output().unwrap()
 }
 
 fn is_there(tool: &str) -> bool {

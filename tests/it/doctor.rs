@@ -6,8 +6,8 @@ use std::process::Command;
 use serde_json::Value;
 
 fn doctor(data: &Path, change: impl FnOnce(&mut Command)) -> (bool, Value) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_effigy"));
-    command.args(["doctor", "--json", "--config=", "--data-dir"]).arg(data);
+    let mut command = crate::program::effigy();
+    command.args(["doctor", "--json", "--data-dir"]).arg(data);
     change(&mut command);
     let output = command.output().unwrap();
     let report = serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {output:?}"));

@@ -1,10 +1,10 @@
 //! `effigy robustness` on tiny made clips: cases are fitted, compared, written down, and not run again.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 fn robustness(folder: &Path, more: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_effigy"));
+    let mut command = crate::program::effigy();
     command.args(["robustness", "--body", "test", "--frames", "8", "--size", "64", "--truths", "1"]).args(more);
     command.arg("--work").arg(folder.join("work")).arg("--out").arg(folder.join("docs"));
     command.output().unwrap()

@@ -1,7 +1,7 @@
 //! Backup while the service runs, restore elsewhere, and the way forward from the first schema.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use effigy::jobs::{Change, State};
@@ -10,7 +10,7 @@ use super::process::Serve;
 use super::*;
 
 fn effigy(command: &str, folder: &Path, data: &Path) -> Output {
-    let mut effigy = Command::new(env!("CARGO_BIN_EXE_effigy"));
+    let mut effigy = crate::program::effigy();
     effigy.arg(command).arg(folder).arg("--data-dir").arg(data).output().unwrap()
 }
 
@@ -87,7 +87,7 @@ async fn a_backup_of_a_busy_service_is_restored_whole() {
     assert!(restored.status.success(), "{}", String::from_utf8_lossy(&restored.stderr));
     refused(&effigy("restore", &backup, &elsewhere), "effigy.db exists: move effigy.db, effigy.db-wal");
     let serve = Serve::start(&elsewhere, &["--workers", "0"]);
-    let get = |path: String| async move { reqwest::get(path).await.unwrap().bytes().await.unwrap() };
+    let get = |path: String| async move { client().get(path).send().await.unwrap().bytes().await.unwrap() };
     let glb = get(format!("{}/v1/avatars/{done}/avatar.glb", serve.url)).await;
     assert_eq!(glb, b"glTF binary"[..]);
     let job: Value = serde_json::from_slice(&get(format!("{}/v1/jobs/{running}", serve.url)).await).unwrap();
@@ -145,7 +145,7 @@ async fn files_of_jobs_whose_database_is_lost_are_kept() {
     refused(&effigy("restore", &backup, data), "effigy.db-wal exists");
     std::fs::remove_file(journal).unwrap();
     // An empty database, or an older one, would not know the jobs.
-    let mut serve = Command::new(env!("CARGO_BIN_EXE_effigy"));
+    let mut serve = crate::program::effigy();
     serve.args(["serve", "--listen", "127.0.0.1:0", "--data-dir"]).arg(data);
     refused(&serve.output().unwrap(), "there are files of 2 jobs");
     assert!(!database.exists());

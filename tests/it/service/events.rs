@@ -27,7 +27,7 @@ impl Server {
     }
 
     pub async fn follow(&self, job: Uuid, after: Option<&str>) -> Stream {
-        let mut request = reqwest::Client::new().get(format!("{}/v1/jobs/{job}/events", self.url));
+        let mut request = client().get(format!("{}/v1/jobs/{job}/events", self.url));
         if let Some(id) = after {
             request = request.header("last-event-id", id);
         }

@@ -17,7 +17,7 @@ impl Rig {
     pub fn start(data: &Path, arguments: &[&str], variables: &[(&str, &str)]) -> Rig {
         std::fs::create_dir_all(data.join("bodies")).unwrap();
         effigy::body::Body::test_body().save(&data.join("bodies/default.body.npz")).unwrap();
-        Rig { serve: Serve::start_with(data, arguments, variables), client: reqwest::blocking::Client::new() }
+        Rig { serve: Serve::start_with(data, arguments, variables), client: blocking_client() }
     }
 
     /// Sends the small clip; the job's address.

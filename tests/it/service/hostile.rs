@@ -10,7 +10,7 @@ use super::*;
 pub fn start(data: &std::path::Path) -> (Serve, reqwest::blocking::Client) {
     let serve = Serve::start(data, &["--workers", "0"]);
     std::fs::write(data.join("bodies/default.body.npz"), b"").unwrap();
-    (serve, reqwest::blocking::Client::new())
+    (serve, blocking_client())
 }
 
 /// Whoever opens connections and does not end his requests.

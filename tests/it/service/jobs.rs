@@ -52,7 +52,7 @@ async fn failures_are_counted_until_their_jobs_are_gone() {
     let id = bench.add_job().await;
     let lease = bench.claim().await;
     bench.queue.fail(&lease, JobError::new("unfit", "no person"), effigy::jobs::Repeat::Never).await.unwrap();
-    let client = reqwest::Client::new();
+    let client = client();
     for count in ["1", "0"] {
         let text = client.get(format!("{}/metrics", serve.url)).send().await.unwrap().text().await.unwrap();
         for kind in JobError::KINDS {

@@ -136,7 +136,7 @@ fn a_full_disk_still_answers_and_deletes() {
     let data = disk.0.path();
     let serve = Serve::start(data, &["--workers", "0", "--disk-reserve-bytes", "8388608"]);
     std::fs::write(data.join("bodies/default.body.npz"), b"").unwrap();
-    let client = reqwest::blocking::Client::new();
+    let client = blocking_client();
     let jobs = format!("{}/v1/jobs", serve.url);
     let post = || client.post(&jobs).header("content-type", Form::TYPE).body(Form::clip().body()).send().unwrap();
     let mut ids = Vec::new();
@@ -192,7 +192,7 @@ fn a_disk_that_fills_under_an_upload_refuses_it_with_507_and_keeps_what_can_be_r
     let data = disk.0.path();
     let serve = Serve::start(data, &["--workers", "0", "--disk-reserve-bytes", "8388608"]);
     std::fs::write(data.join("bodies/default.body.npz"), b"").unwrap();
-    let client = reqwest::blocking::Client::new();
+    let client = blocking_client();
     let jobs = format!("{}/v1/jobs", serve.url);
     let filling = || Filling { disk: disk.clone(), left: BYTES, last: 1 << 16 };
     let empty = || std::fs::remove_file(data.join("filler")).unwrap();

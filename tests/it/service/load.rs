@@ -15,7 +15,7 @@ fn from_environment(name: &str, default: u64) -> u64 {
 /// Sends `rate` calls a second for so long; their times from the moment when each was due, so that a stalled server
 /// cannot hide by delaying the next call.
 async fn call_at_rate(url: &str, rate: u64, time: Duration) -> Vec<Duration> {
-    let client = reqwest::Client::builder().timeout(Duration::from_secs(10)).build().unwrap();
+    let client = client_builder().timeout(Duration::from_secs(10)).build().unwrap();
     let count = (rate as f64 * time.as_secs_f64()) as u32;
     let begun = Instant::now();
     let mut calls = Vec::new();

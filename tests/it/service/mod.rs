@@ -40,6 +40,25 @@ use tempfile::TempPath;
 use tower::ServiceExt;
 use uuid::Uuid;
 
+/// Clients of a server on this machine: a proxy of the machine's is not asked.
+fn client_builder() -> reqwest::ClientBuilder {
+    effigy::webhooks::install_cryptography();
+    reqwest::Client::builder().no_proxy()
+}
+
+fn client() -> reqwest::Client {
+    client_builder().build().unwrap()
+}
+
+fn blocking_client_builder() -> reqwest::blocking::ClientBuilder {
+    effigy::webhooks::install_cryptography();
+    reqwest::blocking::Client::builder().no_proxy()
+}
+
+fn blocking_client() -> reqwest::blocking::Client {
+    blocking_client_builder().build().unwrap()
+}
+
 /// A service without a worker: the tests play its part on the queue.
 struct Bench {
     app: App,

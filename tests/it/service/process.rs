@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use super::*;
+use crate::program;
 
 /// A running `effigy serve`.
 pub struct Serve {
@@ -18,7 +19,7 @@ impl Serve {
     }
 
     fn start_with_log(data: &Path, arguments: &[&str], log: Stdio) -> Serve {
-        let mut effigy = Command::new(env!("CARGO_BIN_EXE_effigy"));
+        let mut effigy = program::effigy();
         effigy.args(["serve", "--data-dir"]).arg(data).args(arguments).stderr(log);
         if !arguments.contains(&"--listen") {
             effigy.args(["--listen", "127.0.0.1:0"]);
@@ -28,14 +29,13 @@ impl Serve {
 
     /// With variables for it and its worker.
     pub fn start_with(data: &Path, arguments: &[&str], variables: &[(&str, &str)]) -> Serve {
-        let mut effigy = Command::new(env!("CARGO_BIN_EXE_effigy"));
+        let mut effigy = program::effigy();
         effigy.args(["serve", "--listen", "127.0.0.1:0", "--data-dir"]).arg(data).args(arguments);
         effigy.envs(variables.iter().copied()).stderr(Stdio::null());
         Self::spawn(effigy)
     }
 
     fn spawn(mut effigy: Command) -> Serve {
-        effigy::webhooks::install_cryptography();
         let mut child = effigy.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
@@ -78,13 +78,12 @@ impl Drop for Serve {
 fn a_server_starts_on_its_defaults_and_ends_when_asked() {
     let data = tempfile::tempdir().unwrap();
     let serve = Serve::start(data.path(), &["--workers", "0"]);
-    assert_eq!(reqwest::blocking::get(format!("{}/healthz", serve.url)).unwrap().text().unwrap(), "ok\n");
+    assert_eq!(blocking_client().get(format!("{}/healthz", serve.url)).send().unwrap().text().unwrap(), "ok\n");
     assert!(serve.terminate().success());
 }
 
 fn effigy(data: &Path, arguments: &[&str]) -> (bool, String, String) {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_effigy")).args(arguments).arg("--data-dir").arg(data).output().unwrap();
+    let output = program::effigy().args(arguments).arg("--data-dir").arg(data).output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap().trim().to_string();
     (output.status.success(), text(output.stdout), text(output.stderr))
 }
@@ -106,9 +105,9 @@ fn what_others_can_reach_needs_keys() {
 
     let serve = Serve::start(data.path(), &["--workers", "0", "--listen", "0.0.0.0:0"]);
     let url = format!("{}/v1/jobs", serve.url.replace("0.0.0.0", "127.0.0.1"));
-    let client = reqwest::blocking::Client::new();
+    let client = blocking_client();
     let ask = || client.get(&url).bearer_auth(&token).send().unwrap().status().as_u16();
-    assert_eq!((reqwest::blocking::get(&url).unwrap().status().as_u16(), ask()), (401, 200));
+    assert_eq!((blocking_client().get(&url).send().unwrap().status().as_u16(), ask()), (401, 200));
     // The server sees at once what another process does to the keys.
     assert!(effigy(data.path(), &["keys", "revoke", "laptop"]).0);
     assert_eq!(ask(), 401);
@@ -124,7 +123,7 @@ fn a_log_for_programs_ties_a_job_to_the_request_that_brought_it() {
     let log = data.path().join("log");
     let stderr = std::fs::File::create(&log).unwrap();
     let serve = Serve::start_with_log(data.path(), &["--workers", "0", "--log-format", "json"], stderr.into());
-    let client = reqwest::blocking::Client::new();
+    let client = blocking_client();
     let sent = client
         .post(format!("{}/v1/jobs", serve.url))
         .header("content-type", Form::TYPE)
@@ -169,7 +168,7 @@ fn a_collector_gets_the_spans_of_requests() {
     let collector = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("http://{}", collector.local_addr().unwrap());
     let serve = Serve::start(data.path(), &["--workers", "0", "--log", "error", "--otlp-endpoint", &endpoint]);
-    let client = reqwest::blocking::Client::new();
+    let client = blocking_client();
     let get = client.get(format!("{}/v1/jobs/x", serve.url));
     let get = get.header("traceparent", "00-0af7651916cd43dd8448eb211c80319c-b7ad6b7169203331-01");
     assert_eq!(get.send().unwrap().status(), 404);
@@ -201,18 +200,18 @@ fn a_collector_gets_the_spans_of_requests() {
 #[test]
 fn a_machine_without_ca_certificates_serves_all_but_webhooks() {
     let data = tempfile::tempdir().unwrap();
-    let mut effigy = Command::new(env!("CARGO_BIN_EXE_effigy"));
+    let mut effigy = program::effigy();
     effigy.args(["serve", "--workers", "0", "--listen", "127.0.0.1:0", "--data-dir"]).arg(data.path());
     effigy.env("SSL_CERT_FILE", "/dev/null").env("SSL_CERT_DIR", data.path());
     let serve = Serve::spawn(effigy);
-    assert_eq!(reqwest::blocking::get(format!("{}/healthz", serve.url)).unwrap().status(), 200);
+    assert_eq!(blocking_client().get(format!("{}/healthz", serve.url)).send().unwrap().status(), 200);
 }
 
 #[test]
 fn two_servers_do_not_share_a_folder() {
     let data = tempfile::tempdir().unwrap();
     let _first = Serve::start(data.path(), &["--workers", "0"]);
-    let second = Command::new(env!("CARGO_BIN_EXE_effigy"))
+    let second = program::effigy()
         .args(["serve", "--workers", "0", "--listen", "127.0.0.1:0", "--data-dir"])
         .arg(data.path())
         .output()
@@ -227,7 +226,7 @@ fn a_start_after_a_kill_keeps_jobs_and_removes_what_is_half_written() {
     let data = tempfile::tempdir().unwrap();
     let serve = Serve::start(data.path(), &["--workers", "0"]);
     std::fs::write(data.path().join("bodies/default.body.npz"), b"").unwrap();
-    let client = reqwest::blocking::Client::new();
+    let client = blocking_client();
     let sent =
         client.post(format!("{}/v1/jobs", serve.url)).header("content-type", Form::TYPE).body(Form::clip().body());
     let job: Value = sent.send().unwrap().json().unwrap();
@@ -237,7 +236,7 @@ fn a_start_after_a_kill_keeps_jobs_and_removes_what_is_half_written() {
 
     let serve = Serve::start(data.path(), &["--workers", "0"]);
     let path = format!("{}/v1/jobs/{}", serve.url, job["id"].as_str().unwrap());
-    assert_eq!(reqwest::blocking::get(path).unwrap().json::<Value>().unwrap()["state"], "queued");
+    assert_eq!(blocking_client().get(path).send().unwrap().json::<Value>().unwrap()["state"], "queued");
     assert_eq!(std::fs::read_dir(data.path().join("tmp")).unwrap().count(), 0);
     assert_eq!(std::fs::read_dir(data.path().join("jobs")).unwrap().count(), 1);
 }
@@ -260,7 +259,7 @@ fn a_large_upload_leaves_the_memory_flat() {
     let data = tempfile::tempdir().unwrap();
     let serve = Serve::start(data.path(), &["--workers", "0"]);
     std::fs::write(data.path().join("bodies/default.body.npz"), b"").unwrap();
-    let client = reqwest::blocking::Client::builder().timeout(None).build().unwrap();
+    let client = blocking_client_builder().timeout(None).build().unwrap();
     assert!(client.get(format!("{}/healthz", serve.url)).send().unwrap().status().is_success());
     let before = serve.peak_bytes();
     let video = reqwest::blocking::multipart::Part::reader_with_length(Zeros(BYTES), BYTES);

@@ -58,7 +58,7 @@ async fn publish(data: &std::path::Path) -> String {
 }
 
 async fn draw(url: &str, body: &Value) -> image::RgbaImage {
-    let request = reqwest::Client::new().post(format!("{url}/renders")).json(body);
+    let request = client().post(format!("{url}/renders")).json(body);
     let reply = request.send().await.unwrap();
     let status = reply.status();
     let bytes = reply.bytes().await.unwrap();
@@ -94,16 +94,16 @@ async fn a_worker_process_draws_pictures_and_meshes() {
     assert_eq!((picture.dimensions(), picture.get_pixel(0, 0).0), ((40, 50), [255, 0, 0, 255]));
     assert_ne!(picture.get_pixel(20, 25).0, [255, 0, 0, 255]);
 
-    let mesh = reqwest::get(format!("{url}/mesh.ply?frame=2")).await.unwrap().bytes().await.unwrap();
+    let mesh = client().get(format!("{url}/mesh.ply?frame=2")).send().await.unwrap().bytes().await.unwrap();
     let mesh = ply::read(&mesh[..]).unwrap();
     assert_eq!((mesh.vertices.len(), mesh.colours.len()), (model().body.n_vertices(), mesh.vertices.len()));
     let centre = mesh.vertices.iter().map(|v| f64::from(v[0])).sum::<f64>() / mesh.vertices.len() as f64;
     assert!((centre - 0.5).abs() < 0.1, "in world space, as in the nearest fitted frame: {centre}");
-    let beyond = reqwest::get(format!("{url}/mesh.ply?frame=6")).await.unwrap();
+    let beyond = client().get(format!("{url}/mesh.ply?frame=6")).send().await.unwrap();
     assert_eq!(beyond.status(), 422);
 
     let too_long = json!({ "frame": 0, "betas": vec![0.0; 200] });
-    let refused = reqwest::Client::new().post(format!("{url}/renders")).json(&too_long).send().await.unwrap();
+    let refused = client().post(format!("{url}/renders")).json(&too_long).send().await.unwrap();
     assert_eq!(refused.status(), 422);
     assert_eq!(std::fs::read_dir(data.path().join("renders")).unwrap().count(), 0);
     assert!(serve.terminate().success());

@@ -10,7 +10,7 @@ use effigy::npz::Npz;
 use effigy::synth::{SynthOptions, synthesise};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use reqwest::blocking::{Client, Response, get, multipart};
+use reqwest::blocking::{Response, multipart};
 
 use super::process::Serve;
 use super::*;
@@ -31,7 +31,7 @@ pub fn upload(url: &str, clip: &Path, preset: &str) -> Value {
     {
         form = form.file(part, clip.join(file)).unwrap();
     }
-    let answer = Client::new().post(format!("{url}/v1/jobs")).multipart(form).send().unwrap();
+    let answer = blocking_client().post(format!("{url}/v1/jobs")).multipart(form).send().unwrap();
     let status = answer.status();
     let job: Value = answer.json().unwrap();
     assert_eq!(status, 202, "{job}");
@@ -43,7 +43,7 @@ struct Events(std::io::Lines<BufReader<Response>>);
 
 impl Events {
     fn of(job_url: &str) -> Events {
-        let client = Client::builder().timeout(None).build().unwrap();
+        let client = blocking_client_builder().timeout(None).build().unwrap();
         Events(BufReader::new(client.get(format!("{job_url}/events")).send().unwrap()).lines())
     }
 
@@ -94,7 +94,7 @@ fn a_killed_fit_goes_on() {
     assert!(serve.terminate().success());
     assert!(std::fs::metadata(&checkpoint).unwrap().modified().unwrap() > before, "a checkpoint was written");
     let serve = Serve::start(&data, &["--workers", "0"]);
-    let job: Value = get(format!("{}/v1/jobs/{id}", serve.url)).unwrap().json().unwrap();
+    let job: Value = blocking_client().get(format!("{}/v1/jobs/{id}", serve.url)).send().unwrap().json().unwrap();
     assert_eq!((&job["state"], &job["attempt"]), (&json!("queued"), &json!(1)), "{job}");
     drop(serve);
     let serve = Serve::start(&data, &[]);
@@ -106,16 +106,20 @@ fn a_killed_fit_goes_on() {
     let serve = Serve::start(&data, &[]);
     let job_url = format!("{}/v1/jobs/{id}", serve.url);
     Events::of(&job_url).until(|event| event["state"] == "succeeded");
-    let job: Value = get(&job_url).unwrap().json().unwrap();
+    let job: Value = blocking_client().get(&job_url).send().unwrap().json().unwrap();
     assert!((2..=3).contains(&job["attempt"].as_u64().unwrap()), "{job}");
-    let report: Value = get(format!("{}/v1/avatars/{id}/report.json", serve.url)).unwrap().json().unwrap();
+    let report: Value =
+        blocking_client().get(format!("{}/v1/avatars/{id}/report.json", serve.url)).send().unwrap().json().unwrap();
     for entry in report["losses"].as_array().unwrap() {
         let again = entry["stage"] == "geometry" && (stage > 1.0 || entry["step"].as_f64().unwrap() <= step);
         assert!(!again, "the checkpoint had stage {stage}, step {step}, and this came after it: {entry}");
     }
-    let avatar: Value = get(format!("{}/v1/avatars/{id}", serve.url)).unwrap().json().unwrap();
+    let avatar: Value = blocking_client().get(format!("{}/v1/avatars/{id}", serve.url)).send().unwrap().json().unwrap();
     assert_eq!(avatar["frames"], 6, "{avatar}");
-    let glb = get(format!("{}{}", serve.url, avatar["files"]["avatar.glb"].as_str().unwrap())).unwrap();
+    let glb = blocking_client()
+        .get(format!("{}{}", serve.url, avatar["files"]["avatar.glb"].as_str().unwrap()))
+        .send()
+        .unwrap();
     assert_eq!(&glb.bytes().unwrap()[..4], b"glTF");
     assert!(serve.terminate().success());
 }
@@ -187,5 +191,5 @@ fn a_kill_repeats_at_most_30_seconds_of_fitting() {
         (since, most) = (killed, most.max(repeated));
     }
     eprintln!("{kills} kills repeated at most {most:.1?} of fitting");
-    assert!(Client::new().delete(format!("{}/v1/jobs/{id}", serve.url)).send().unwrap().status().is_success());
+    assert!(blocking_client().delete(format!("{}/v1/jobs/{id}", serve.url)).send().unwrap().status().is_success());
 }

@@ -100,7 +100,7 @@ async fn kills_at_random_lose_no_job_and_double_none() {
     let bench = look_at(&data).await;
     let mut workers: Vec<_> = (0..2).map(|_| WorkerProcess::start(&data)).collect();
     let mut random = Pcg64Mcg::seed_from_u64(u64::from(cycles));
-    let client = reqwest::Client::builder().timeout(Duration::from_secs(20)).build().unwrap();
+    let client = client_builder().timeout(Duration::from_secs(20)).build().unwrap();
     let (mut ids, mut unanswered, mut kills) = (Vec::new(), 0, [0, 0]);
     for _ in 0..cycles {
         let script = Script { steps: 12, step_ms: 20, save_every: 1, ..Script::default() };

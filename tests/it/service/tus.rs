@@ -281,7 +281,7 @@ fn an_upload_survives_cuts_and_restarts() {
     random.fill_bytes(&mut content);
     let data = tempfile::tempdir().unwrap();
     let mut serve = Serve::start(data.path(), &["--workers", "0"]);
-    let client = reqwest::blocking::Client::new();
+    let client = blocking_client();
     let begun = client.post(format!("{}/v1/uploads", serve.url)).header(TUS.0, TUS.1).header("upload-length", bytes);
     let path = begun.send().unwrap().headers()["location"].to_str().unwrap().to_string();
     let offset_of = |serve: &Serve| -> usize {
