@@ -11,12 +11,14 @@ server=
 trap '[ -z "$server" ] || kill "$server"; rm -rf "$work"' EXIT
 
 python3 -m pip install --quiet --target "$work/site" "schemathesis==$version"
-export PYTHONPATH=$work/site
+export PYTHONPATH=$work/site no_proxy='*'
 
 # The API asks only whether a body is there; without a worker no job is begun.
 mkdir -p "$work/data/bodies"
 touch "$work/data/bodies/default.body.npz"
-"$effigy" serve --data-dir "$work/data" --listen 127.0.0.1:0 --workers 0 --log error > "$work/out" &
+# What a service on this machine is set to, and a proxy, are none of its server's.
+env -i PATH="$PATH" "$effigy" serve --config= --data-dir "$work/data" --listen 127.0.0.1:0 --workers 0 --log error \
+    > "$work/out" &
 server=$!
 until grep -q '^listening on ' "$work/out"; do
     kill -0 "$server"
