@@ -29,45 +29,131 @@ fn is_there(tool: &str) -> bool {
 const FILES: [&str; 7] =
     ["Dockerfile", "entrypoint.sh", "compose.yaml", "effigy.toml", "effigy.service", "nginx.conf", "README.md"];
 
-/// Calls of the program in a text, as the words after its name.
-fn calls(text: &str) -> Vec<Vec<String>> {
-    let mut found = Vec::new();
+/// What of a file is run: shell, or the words after the program's name where a file gives only these.
+fn commands(file: &str) -> Vec<String> {
+    let text = text(file);
+    let mut fenced = false;
+    let mut found: Vec<String> = Vec::new();
     for line in text.lines() {
-        let words: Vec<&str> =
-            line.split(|c: char| c.is_whitespace() || "`\"[]".contains(c)).filter(|w| !w.is_empty()).collect();
-        for (at, word) in words.iter().enumerate() {
-            let program = *word == "effigy" || word.ends_with("bin/effigy");
-            // `effigy effigy` of compose: a service, then the program.
-            let command =
-                words.get(at + 1).filter(|next| next.chars().all(|c| c.is_ascii_lowercase()) && **next != "effigy");
-            if let (true, Some(command)) = (program, command) {
-                let flags =
-                    words[at + 2..].iter().take_while(|word| **word != "effigy").filter(|word| word.starts_with("--"));
-                found.push([*command].iter().chain(flags).map(ToString::to_string).collect());
+        let comment = line.trim_start().strip_prefix('#').map(str::trim_start);
+        let command = match file.rsplit('.').next().unwrap() {
+            "md" if line.starts_with("```") => {
+                fenced = !fenced;
+                None
             }
+            "md" => fenced.then(|| line.to_string()),
+            "service" => line.strip_prefix("Exec").map(|rest| rest.split_once('=').unwrap().1.to_string()),
+            "yaml" => comment.filter(|said| said.starts_with("docker ")).map(String::from),
+            "Dockerfile" | "sh" if comment.is_some() => None,
+            "Dockerfile" if line.starts_with("CMD [") => {
+                let words: Vec<String> = serde_json::from_str(&line["CMD ".len()..]).unwrap();
+                Some(format!("effigy {}", words.join(" ")))
+            }
+            "Dockerfile" | "sh" => Some(line.to_string()),
+            _ => None,
+        };
+        found.extend(command);
+        // In a sentence.
+        if !fenced {
+            let code = line.split('`').skip(1).step_by(2);
+            found.extend(code.filter(|code| code.starts_with("effigy ")).map(String::from));
+        }
+    }
+    if file == "compose.yaml" {
+        let compose: Value = yaml_serde::from_str(&text).unwrap();
+        let services = compose["services"].as_object().unwrap().values().chain([&compose["x-effigy"]]);
+        for command in services.filter_map(|service| service.get("command")) {
+            let words = command.as_array().into_iter().flatten().chain([command]).filter_map(Value::as_str);
+            found.push(format!("effigy {}", words.collect::<Vec<_>>().join(" ")));
         }
     }
     found
 }
 
+/// Calls of the program in a command, as the words after its name.
+fn calls(command: &str) -> Vec<Vec<&str>> {
+    let command = command.split(" #").next().unwrap();
+    let words: Vec<&str> = command.split_whitespace().map(|word| word.trim_matches('"')).collect();
+    let mut found = Vec::new();
+    for (at, word) in words.iter().enumerate() {
+        let program = *word == "effigy" || word.ends_with("/bin/effigy");
+        // A user, a group or a service of compose; and what ends a command is an argument of another program.
+        let other = at > 0 && ["-u", "-g", "-o", "exec"].contains(&words[at - 1]);
+        let own = words[at + 1..].iter().take_while(|word| !["|", "||", "&&", ";", ">"].contains(word));
+        let own: Vec<&str> = own.copied().collect();
+        if program && !other && !own.is_empty() {
+            found.push(own);
+        }
+    }
+    found
+}
+
+/// What is wrong with a call: a command that does not exist, or a flag that is none of the command's.
+fn fault(call: &[&str]) -> Option<String> {
+    let mut path = Vec::new();
+    loop {
+        let name = ["effigy"].iter().chain(&path).copied().collect::<Vec<_>>().join(" ");
+        let help = String::from_utf8(effigy(&[&path[..], &["--help"]].concat()).stdout).unwrap();
+        let (_, lists) = help.split_once("Usage: ").unwrap();
+        let commands = lists.split_once("\nCommands:\n").map(|(_, rest)| rest.split("\n\n").next().unwrap());
+        let next = call.get(path.len()).filter(|word| !word.starts_with('-'));
+        if let (Some(commands), Some(next)) = (commands, next) {
+            if !commands.lines().any(|line| line.split_whitespace().next() == Some(next)) {
+                return Some(format!("there is no {name} {next}"));
+            }
+            path.push(*next);
+            continue;
+        }
+        // A line of flags is `-s, --long <VALUE>  What it does`.
+        let lines = lists.lines().map(str::trim_start).filter(|line| line.starts_with('-'));
+        let words = lines.flat_map(|line| line.split("  ").next().unwrap().split([' ', ',']));
+        let flags: Vec<&str> = words.filter(|word| word.starts_with('-')).collect();
+        let given = call[path.len()..].iter().filter(|word| word.starts_with('-') && word.len() > 1);
+        let unknown = given.map(|word| word.split('=').next().unwrap()).find(|flag| !flags.contains(flag));
+        return unknown.map(|flag| format!("{name} has no {flag}"));
+    }
+}
+
 #[test]
 fn every_command_and_flag_that_they_name_exists() {
-    let commands = String::from_utf8(effigy(&["--help"]).stdout).unwrap();
-    let known = |name: &str| commands.lines().any(|line| line.trim_start().starts_with(&format!("{name} ")));
-    let mut seen = 0;
+    let mut seen = Vec::new();
     for file in FILES {
-        for call in calls(&text(file)).iter().filter(|call| known(&call[0])) {
-            seen += 1;
-            let help = String::from_utf8(effigy(&[&call[0], "--help"]).stdout).unwrap();
-            for flag in &call[1..] {
-                assert!(help.contains(flag.split('=').next().unwrap()), "deploy/{file}: effigy {}", call.join(" "));
+        for command in commands(file) {
+            for call in calls(&command) {
+                assert_eq!(fault(&call), None, "deploy/{file}: {command}");
+                seen.push((file, call[0].to_string()));
             }
         }
     }
-    // The unit's start, the doctor and the keys of the README: the search finds what is there.
-    assert!(seen >= 4, "only {seen} calls were found");
-    for (file, call) in [("effigy.service", "serve"), ("README.md", "doctor"), ("README.md", "keys")] {
-        assert!(known(call) && calls(&text(file)).iter().any(|found| found[0] == call), "deploy/{file} calls {call}");
+    // The search finds what is there: fences and sentences, the unit's start, the image's command, compose's comments.
+    for (file, call) in [
+        ("README.md", "doctor"),
+        ("README.md", "keys"),
+        ("effigy.service", "serve"),
+        ("effigy.toml", "config"),
+        ("Dockerfile", "serve"),
+        ("compose.yaml", "keys"),
+    ] {
+        assert!(seen.contains(&(file, call.into())), "deploy/{file} calls {call}: {seen:?}");
+    }
+}
+
+#[test]
+fn a_call_of_what_does_not_exist_is_found() {
+    for (command, wrong) in [
+        ("effigy frobnicate --x", "no effigy frobnicate"),
+        ("docker compose -f deploy/compose.yaml exec effigy effigy docter", "no effigy docter"),
+        ("runuser -u effigy -- effigy keys destroy me", "no effigy keys destroy"),
+        ("/usr/local/bin/effigy serve --conf /etc/effigy/effigy.toml", "effigy serve has no --conf"),
+        ("effigy keys create me --listen=127.0.0.1:1", "effigy keys create has no --listen"),
+    ] {
+        let calls = calls(command);
+        let said = calls.first().and_then(|call| fault(call));
+        assert!(calls.len() == 1 && said.as_ref().is_some_and(|said| said.contains(wrong)), "{command}: {said:?}");
+    }
+    assert_eq!(fault(&["keys", "create", "me", "--config=a", "--per-minute", "9"]), None);
+    for argument in ["install -d -o effigy -g effigy /var/lib/effigy", "scripts/body.sh /usr/local/bin/effigy"] {
+        assert_eq!(calls(argument).len(), 0, "{argument}");
     }
 }
 
