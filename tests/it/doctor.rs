@@ -20,6 +20,30 @@ fn check<'a>(report: &'a Value, name: &str) -> &'a Value {
     found.unwrap_or_else(|| panic!("{name}: {report}"))
 }
 
+#[cfg(target_os = "linux")]
+fn kernel_has_landlock() -> bool {
+    // SAFETY: asks for the version of an interface and passes no memory.
+    unsafe { libc::syscall(libc::SYS_landlock_create_ruleset, std::ptr::null::<u8>(), 0, 1) > 0 }
+}
+
+#[cfg(target_os = "linux")]
+fn kernel_has_seccomp() -> bool {
+    const GET_ACTION_AVAIL: libc::c_uint = 2;
+    let action = libc::SECCOMP_RET_ERRNO;
+    // SAFETY: asks whether an action is known; the pointer is to a live number.
+    unsafe { libc::syscall(libc::SYS_seccomp, GET_ACTION_AVAIL, 0, &raw const action) == 0 }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn kernel_has_landlock() -> bool {
+    false
+}
+
+#[cfg(not(target_os = "linux"))]
+fn kernel_has_seccomp() -> bool {
+    false
+}
+
 #[test]
 fn a_missing_body_and_tool_are_named_with_their_cure() {
     let data = tempfile::tempdir().unwrap();
@@ -45,7 +69,14 @@ fn a_machine_that_has_all_is_well() {
     std::fs::create_dir(data.path().join("bodies")).unwrap();
     effigy::body::Body::test_body().save(&data.path().join("bodies/default.body.npz")).unwrap();
     let (ok, report) = doctor(data.path(), |_| {});
-    assert!(check(&report, "decoder")["found"].as_str().unwrap().contains("Landlock"), "{report}");
+    let decoder = check(&report, "decoder");
+    let fences = [("files (Landlock)", kernel_has_landlock()), ("system calls (seccomp)", kernel_has_seccomp())];
+    for (fence, there) in fences {
+        let told = format!("{fence}: {}", if there { "yes" } else { "no" });
+        assert!(decoder["found"].as_str().unwrap().contains(&told), "the kernel: {told}; {decoder}");
+    }
+    let whole = fences.iter().all(|(_, there)| *there);
+    assert_eq!(decoder["state"], if whole { "ok" } else { "warning" }, "{decoder}");
     for name in ["ffmpeg", "ffprobe", "body", "database", "access"] {
         assert_eq!(check(&report, name)["state"], "ok", "{report}");
     }

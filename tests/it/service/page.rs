@@ -37,3 +37,17 @@ async fn the_page_comes_whole_from_the_server_itself() {
         assert!(fields.iter().any(|field| field == part), "{part}");
     }
 }
+
+#[test]
+fn the_script_is_one_that_an_engine_takes() {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/web/effigy.js");
+    // As the page loads it: a script, no module.
+    let compile = "new (require('vm').Script)(require('fs').readFileSync(process.argv[1], 'utf8'))";
+    match std::process::Command::new("node").args(["-e", compile, script]).output() {
+        Ok(verdict) => assert!(verdict.status.success(), "{}", String::from_utf8_lossy(&verdict.stderr)),
+        Err(_) => {
+            assert!(std::env::var_os("CI").is_none(), "CI installs node");
+            eprintln!("the_script_is_one_that_an_engine_takes: ignored, there is no node");
+        }
+    }
+}
