@@ -7,9 +7,10 @@ const VIEWS = 24;
 // ---- the API -------------------------------------------------------------------------------------------------------
 
 class Problem extends Error {
-  constructor(problem) {
+  constructor(problem, retryAfter) {
     super(problem.detail || problem.title || "the server cannot be reached");
     this.problem = problem;
+    this.waitSecs = Number(retryAfter) || 2;
   }
 }
 
@@ -26,13 +27,16 @@ async function call(path, options = {}) {
     throw new Problem({});
   }
   if (response.ok) return response;
-  const problem = await response.json().catch(() => ({ title: `status ${response.status}` }));
-  if (response.status === 401) askForKey();
-  throw new Problem(problem);
+  const { status } = response;
+  const problem = await response.json().catch(() => ({ title: `status ${status}` }));
+  if (status === 401) askForKey();
+  throw new Problem({ ...problem, status }, response.headers.get("retry-after"));
 }
 
 const post = (path, body) =>
   call(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
+
+const pause = (problem) => new Promise((resolve) => setTimeout(resolve, 1000 * (problem.waitSecs ?? 2)));
 
 function askForKey() {
   $("key-field").hidden = false;
@@ -114,6 +118,7 @@ $("upload").addEventListener("submit", async (event) => {
 // ---- a job ---------------------------------------------------------------------------------------------------------
 
 const ENDED = ["succeeded", "failed", "canceled", "expired"];
+const HOPELESS = [401, 403, 404, 410]; // who asks again hears the same
 let watched = null; // ends the stream of the job that was shown before
 
 async function watch(id) {
@@ -135,8 +140,8 @@ async function watch(id) {
     } catch (problem) {
       if (signal.aborted) return;
       show(problem, $("job-problem"));
-      if (problem.problem?.status) return;
-      await new Promise((resolve) => setTimeout(resolve, 2000)); // the server was away
+      if (HOPELESS.includes(problem.problem?.status)) return;
+      await pause(problem); // the server was away or busy
     }
   }
   list();
@@ -218,10 +223,11 @@ $("retry").addEventListener("click", wish("retry"));
 async function result(id) {
   const { signal } = watched;
   try {
-    const avatar = await (await call(`v1/avatars/${id}`, { signal })).json();
+    const avatar = await (await patiently(() => call(`v1/avatars/${id}`, { signal }))).json();
     $("result").hidden = false;
     // Links, because a download cannot send a key.
-    const { links } = await (await post(`v1/avatars/${id}/links`, { expires_in_secs: 86400 })).json();
+    const askForLinks = () => post(`v1/avatars/${id}/links`, { expires_in_secs: 86400 });
+    const { links } = await (await patiently(askForLinks)).json();
     const files = Object.entries(links).map(([name, href]) => {
       const item = element("li");
       const page = name.endsWith(".html") ? { target: "_blank", rel: "noopener" } : { download: name };
@@ -301,14 +307,14 @@ async function turntable(id, signal) {
   }
 }
 
-// A worker that is busy with a fit draws between its steps: it is asked again for a while.
+// A worker that is busy with a fit draws between its steps, and a key may ask only so often: asked again for a while.
 async function patiently(ask) {
   for (let tries = 1; ; tries++) {
     try {
       return await ask();
     } catch (problem) {
-      if (problem.problem?.status !== 503 || tries === 10) throw problem;
-      await new Promise((resolve) => setTimeout(resolve, 5000));
+      if (![429, 503].includes(problem.problem?.status) || tries === 10) throw problem;
+      await pause(problem);
     }
   }
 }
