@@ -194,17 +194,29 @@ function draw(job) {
   if (job.avatar) result(job.avatar);
 }
 
+let wished = null; // the newest picture that nobody has asked for yet
+let asking = false;
+
 // The avatar as it emerges; call, because an image element cannot send a key. What is missing or late is no fault.
+// One at a time: a stream begins with an event for each picture of before, and all have the newest one's address.
 async function preview(url, signal) {
-  try {
-    const picture = URL.createObjectURL(await (await call(url.slice(1), { signal })).blob());
-    if (signal.aborted) return;
-    URL.revokeObjectURL($("preview").src);
-    $("preview").src = picture;
-    $("preview").hidden = false;
-  } catch {
-    // The next event brings another.
+  wished = { url, signal };
+  if (asking) return;
+  asking = true;
+  while (wished) {
+    const { url, signal } = wished;
+    wished = null;
+    try {
+      const picture = await (await call(url.slice(1), { signal })).blob();
+      if (signal.aborted) continue;
+      URL.revokeObjectURL($("preview").src);
+      $("preview").src = URL.createObjectURL(picture);
+      $("preview").hidden = false;
+    } catch {
+      // The next event brings another.
+    }
   }
+  asking = false;
 }
 
 const wish = (what) => async () => {
