@@ -131,11 +131,14 @@ async function watch(id) {
   $("job").hidden = false;
   $("job-id").textContent = id;
   let last = null;
+  let listed = null; // the state that the list was last asked for with: it may not know this job yet
   while (!signal.aborted) {
     try {
       const job = await (await call(`v1/jobs/${id}`, { signal })).json();
       draw(job);
-      if (ENDED.includes(job.state)) break;
+      if (job.state !== listed) list();
+      listed = job.state;
+      if (ENDED.includes(job.state)) return;
       last = await follow(id, last, signal);
     } catch (problem) {
       if (signal.aborted) return;
@@ -144,7 +147,6 @@ async function watch(id) {
       await pause(problem); // the server was away or busy
     }
   }
-  list();
 }
 
 // Reads the event stream until it ends; fetch instead of EventSource, which cannot send a key.
@@ -352,7 +354,7 @@ function drag(image, slider, changed) {
 
 async function list() {
   try {
-    const { jobs } = await (await call("v1/jobs?limit=20")).json();
+    const { jobs } = await (await patiently(() => call("v1/jobs?limit=20"))).json();
     const lines = jobs.map((job) => {
       const link = element("a", job.id, { href: `#${job.id}` });
       return row([link, job.state, job.options.preset, new Date(job.created_at).toLocaleString()]);
