@@ -3,8 +3,9 @@
 
 use serde_json::{Value, json};
 use utoipa::openapi::path::Operation;
-use utoipa::openapi::{Content, ObjectBuilder, RefOr, Type};
+use utoipa::openapi::{Content, RefOr};
 
+use super::bodies;
 use crate::http::error::example as problem;
 
 const ID: &str = "0190a1b2-c3d4-7e5f-8a9b-0c1d2e3f4a5b";
@@ -12,39 +13,23 @@ const OTHER: &str = "0190a1b2-d000-7abc-9def-0123456789ab";
 
 /// Gives each body of the operation an example.
 pub(super) fn complete(operation: &mut Operation) {
-    if let Some(RefOr::T(body)) = &mut operation.request_body {
-        for (kind, content) in &mut body.content {
-            add(kind, "", content);
-        }
-    }
-    for (status, response) in &mut operation.responses.responses {
-        if let RefOr::T(response) = response {
-            for (kind, content) in &mut response.content {
-                add(kind, status, content);
-            }
-        }
-    }
+    bodies::each(operation, add);
 }
 
-fn add(kind: &str, status: &str, content: &mut RefOr<Content>) {
-    let RefOr::T(content) = content else { return };
+fn add(status: &str, kind: &str, content: &mut Content) {
     let named = match &content.schema {
         Some(RefOr::Ref(reference)) => reference.ref_location.rsplit('/').next().and_then(of_type),
         _ => None,
     };
     let example = match kind {
         "application/problem+json" => status.parse().ok().and_then(problem),
-        _ => named.or_else(|| of_kind(kind)),
+        _ => named.or_else(|| of_kind(status, kind)),
     };
     content.example = content.example.take().or(example);
-    if kind == "application/offset+octet-stream" {
-        // Bytes, not a list of numbers.
-        content.schema = Some(RefOr::T(ObjectBuilder::new().schema_type(Type::String).into()));
-    }
 }
 
 /// Of bodies that are no JSON.
-fn of_kind(kind: &str) -> Option<Value> {
+fn of_kind(status: &str, kind: &str) -> Option<Value> {
     Some(match kind {
         "text/event-stream" => json!(format!(
             "id: 41\nevent: state\ndata: {{\"state\":\"running\",\"attempt\":1,\"error\":null,\
@@ -55,8 +40,8 @@ fn of_kind(kind: &str) -> Option<Value> {
         )),
         "text/plain" => json!("ok\n"),
         "application/yaml" => json!("openapi: 3.1.0\ninfo:\n  title: Effigy\n"),
-        "application/octet-stream" | "application/offset+octet-stream" => json!("(bytes)"),
         _ if kind.starts_with("image/") => json!("(bytes of a picture)"),
+        _ if bodies::is_bytes(status, kind) => json!("(bytes)"),
         _ => return None,
     })
 }

@@ -1,6 +1,7 @@
 //! The description of the API, made from the handlers. What follows from a route's kind is added here: names, general
 //! errors, examples.
 
+mod bodies;
 mod errors;
 mod examples;
 
@@ -37,6 +38,7 @@ pub(super) fn describe() -> OpenApi {
         for operation in operations.into_iter().flatten() {
             name(operation);
             errors::complete(path, operation);
+            bodies::complete(operation);
             examples::complete(operation);
         }
     }
@@ -53,5 +55,8 @@ fn name(operation: &mut Operation) {
 
 /// `openapi.yaml` as the handlers have it.
 pub fn yaml() -> Result<String, impl std::error::Error + Send + Sync + 'static> {
-    describe().to_yaml()
+    yaml_serde::to_value(describe()).and_then(|mut api| {
+        bodies::put_forms_first(&mut api);
+        yaml_serde::to_string(&api)
+    })
 }

@@ -92,6 +92,38 @@ fn every_body_has_an_example_that_is_one() {
     assert!(checked > 60, "{checked} examples");
 }
 
+#[test]
+fn bodies_are_text_or_json_or_bytes() {
+    let api = description();
+    let binary = json!({ "type": "string", "format": "binary" });
+    let mut bytes = Vec::new();
+    for (path, method, operation) in operations(&api) {
+        let responses = operation["responses"].as_object().unwrap();
+        for (status, body) in responses.iter().map(|(s, r)| (s.as_str(), r)).chain([("", &operation["requestBody"])]) {
+            for (kind, content) in body["content"].as_object().into_iter().flatten() {
+                let is_text = kind.starts_with("text/") || kind.ends_with("json") || kind == "application/yaml";
+                if is_text || kind == "multipart/form-data" {
+                    continue;
+                }
+                assert_eq!(content["schema"], binary, "{method} {path} {kind}");
+                bytes.push(kind.as_str());
+            }
+        }
+    }
+    for kind in ["application/octet-stream", "application/offset+octet-stream", "image/png", "image/jpeg"] {
+        assert!(bytes.contains(&kind), "{bytes:?}");
+    }
+}
+
+/// The first is what generated clients speak.
+#[test]
+fn a_clip_is_first_of_all_a_form() {
+    let api: yaml_serde::Value = yaml_serde::from_str(&effigy::http::openapi::yaml().unwrap()).unwrap();
+    let content = api["paths"]["/v1/jobs"]["post"]["requestBody"]["content"].as_mapping().unwrap();
+    let kinds: Vec<_> = content.keys().map(|kind| kind.as_str().unwrap()).collect();
+    assert_eq!(kinds, ["multipart/form-data", "application/json"]);
+}
+
 /// What a schema of ours can say: references, objects with their fields, arrays, types.
 fn check(api: &Value, schema: &Value, value: &Value, at: &str) {
     if let Some(reference) = schema["$ref"].as_str() {
