@@ -7,7 +7,7 @@ use utoipa::openapi::{ContentBuilder, ObjectBuilder, Ref, RefOr, Response, Respo
 
 /// Adds what the handler's own documentation does not name.
 pub(super) fn complete(path: &str, operation: &mut Operation) {
-    let is_guarded = path.starts_with("/v1/") || path == "/metrics";
+    let is_guarded = super::is_guarded(path);
     let id = operation.operation_id.as_deref().unwrap_or("");
     let json_body = operation.request_body.is_some() && id != "uploads_append";
     let writes = path.starts_with("/v1/")

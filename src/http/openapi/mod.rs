@@ -5,8 +5,9 @@ mod bodies;
 mod errors;
 mod examples;
 
-use utoipa::openapi::OpenApi;
 use utoipa::openapi::path::Operation;
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
+use utoipa::openapi::{Components, OpenApi};
 
 use super::error::Problem;
 
@@ -32,17 +33,36 @@ pub(super) struct Description;
 /// The description of the whole API.
 pub(super) fn describe() -> OpenApi {
     let mut api = super::routes().to_openapi();
+    api.components.get_or_insert_with(Components::new).add_security_scheme(KEY, key());
     for (path, item) in &mut api.paths.paths {
         let operations =
             [&mut item.get, &mut item.head, &mut item.post, &mut item.patch, &mut item.delete, &mut item.options];
         for operation in operations.into_iter().flatten() {
             name(operation);
+            if is_guarded(path) {
+                // In this order: with a key, or without where the server asks for none.
+                operation.security = Some(vec![SecurityRequirement::new(KEY, [""; 0]), SecurityRequirement::default()]);
+            }
             errors::complete(path, operation);
             bodies::complete(operation);
             examples::complete(operation);
         }
     }
     api
+}
+
+/// What the scheme of keys is called.
+const KEY: &str = "bearer";
+
+fn key() -> SecurityScheme {
+    let text = "A key of `effigy keys create`. None is needed by a server that is open to all or has no keys yet, nor \
+                where a signed link leads.";
+    SecurityScheme::Http(HttpBuilder::new().scheme(HttpAuthScheme::Bearer).description(Some(text)).build())
+}
+
+/// Whether a key may be asked for; `access.rs` decides what it must allow.
+fn is_guarded(path: &str) -> bool {
+    path.starts_with("/v1/") || path == "/metrics"
 }
 
 /// Handlers are named within their resource; clients that are generated need one name for each of all: `jobs_list`.

@@ -69,6 +69,18 @@ fn every_operation_is_named_described_and_lists_its_errors() {
 }
 
 #[test]
+fn what_is_guarded_tells_how_a_key_is_sent() {
+    let api = description();
+    let scheme = &api["components"]["securitySchemes"]["bearer"];
+    assert_eq!((&scheme["type"], &scheme["scheme"]), (&json!("http"), &json!("bearer")));
+    for (path, method, operation) in operations(&api) {
+        let is_guarded = path.starts_with("/v1/") || path == "/metrics";
+        let asked = is_guarded.then(|| json!([{ "bearer": [] }, {}]));
+        assert_eq!(operation.get("security"), asked.as_ref(), "{method} {path}");
+    }
+}
+
+#[test]
 fn every_body_has_an_example_that_is_one() {
     let api = description();
     let mut checked = 0;
