@@ -10,6 +10,7 @@ use serde::de::DeserializeOwned;
 use uuid::Uuid;
 
 use super::error::ApiError;
+use super::pace::Lateness;
 
 /// A JSON body; a mistake in it is told with its field.
 pub struct ApiJson<T>(pub T);
@@ -23,7 +24,11 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for ApiJson<T> {
         if essence != "application/json" && !essence.ends_with("+json") {
             return Err(ApiError::MediaType(format!("the content type is {kind:?}, not application/json")));
         }
-        let body = Bytes::from_request(request, state).await.map_err(body_error)?;
+        let lateness = request.extensions().get::<Lateness>().cloned().unwrap_or_default();
+        let body = Bytes::from_request(request, state).await.map_err(|rejection| match lateness.is_late() {
+            true => ApiError::TooSlow,
+            false => body_error(rejection),
+        })?;
         let mut reader = serde_json::Deserializer::from_slice(&body);
         let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
             let path = error.path().to_string();

@@ -1,5 +1,8 @@
 //! Requests that come again, queues and disks that are full.
 
+use std::time::Duration;
+
+use effigy::http::Pace;
 use effigy::jobs::State;
 
 use super::process::Serve;
@@ -230,4 +233,19 @@ fn a_disk_that_fills_under_an_upload_refuses_it_with_507_and_keeps_what_can_be_r
     let uploaded = client.post(&jobs).header("content-type", Form::TYPE).body(Form::clip().body()).send().unwrap();
     assert_eq!(uploaded.status(), 202, "{}", uploaded.text().unwrap());
     assert!(serve.terminate().success());
+}
+
+#[tokio::test]
+async fn json_that_trickles_is_told_so() {
+    let pace = Pace { window: Duration::from_millis(150), bytes: 1000 };
+    let bench = Bench::with_limits(Limits { pace, ..Limits::default() }).await;
+    let id = Uuid::nil();
+    for path in ["/v1/webhooks", "/v1/jobs", &format!("/v1/avatars/{id}/renders"), &format!("/v1/avatars/{id}/links")] {
+        let trickle = futures_util::stream::unfold((), |()| async {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+            Some((Ok::<_, std::io::Error>(" "), ()))
+        });
+        let headers = [("content-type", "application/json")];
+        bench.call(Method::POST, path, &headers, Body::from_stream(trickle)).await.problem(408);
+    }
 }
