@@ -185,6 +185,23 @@ fn check(api: &Value, schema: &Value, value: &Value, at: &str) {
 }
 
 #[tokio::test]
+async fn each_kind_of_file_is_described() {
+    let bench = Bench::new().await;
+    let names = ["a.glb", "a.vrm", "a.png", "a.json", "a.html", "a.mp4", "a.npz", "a.ply"];
+    let avatar = bench.publish(&names.map(|name| (name, &b"some bytes"[..]))).await;
+    let api = description();
+    let responses = &api["paths"]["/v1/avatars/{id}/{file}"]["get"]["responses"];
+    for name in names {
+        for (status, headers) in [("200", &[][..]), ("206", &[("range", "bytes=1-2")])] {
+            let reply = bench.call(Method::GET, &format!("/v1/avatars/{avatar}/{name}"), headers, Body::empty()).await;
+            assert_eq!(reply.status.as_str(), status);
+            let kind = reply.header("content-type").split(';').next().unwrap();
+            assert!(responses[status]["content"].get(kind).is_some(), "{name}, {status}: {kind}");
+        }
+    }
+}
+
+#[tokio::test]
 async fn the_server_tells_its_description() {
     let bench = Bench::new().await;
     let reply = bench.get("/openapi.yaml").await;
