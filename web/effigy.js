@@ -180,7 +180,8 @@ async function follow(id, last, signal) {
 }
 
 function draw(job) {
-  $("state").textContent = job.state;
+  // Whatever is written there is read aloud, also where it stood before.
+  if ($("state").textContent !== job.state) $("state").textContent = job.state;
   const stage = job.stage && !ENDED.includes(job.state);
   $("stage").textContent = stage ? `${job.stage} ${job.step} of ${job.steps}` : "";
   if (job.queue_position) $("stage").textContent = `number ${job.queue_position} in the queue`;
@@ -251,7 +252,7 @@ async function result(id) {
     $("files").replaceChildren(...files);
     $("whole-report").hidden = !links["report.html"];
     $("whole-report").href = links["report.html"]?.slice(1) ?? "";
-    $("report").replaceChildren(...rows(avatar.metrics).map(([name, value]) => row([name, value])));
+    $("report").tBodies[0].replaceChildren(...rows(avatar.metrics).map(([name, value]) => row([name, value])));
     await turntable(id, signal);
   } catch (problem) {
     if (!signal.aborted) show(problem, $("job-problem"));

@@ -32,6 +32,14 @@ async fn the_page_comes_whole_from_the_server_itself() {
     for id in script.split("$(\"").skip(1).map(|rest| rest.split('"').next().unwrap()) {
         assert!(ids.iter().any(|known| known == id), "{id}");
     }
+    // Who cannot see it hears what a bar measures, what a column holds, and of the job's state, not of each second.
+    let count = |what: &str| html.matches(what).count();
+    assert_eq!((count("<progress"), count("<table"), count("aria-live")), (2, 2, 1));
+    assert!(html.split("<progress").skip(1).all(|bar| bar.split('>').next().unwrap().contains("aria-label=")));
+    for table in html.split("<table").skip(1).map(|rest| rest.split("</table>").next().unwrap()) {
+        assert!(["<caption>", "<thead>", "<th scope=\"col\">"].iter().all(|part| table.contains(part)), "{table}");
+    }
+    assert!(html.contains("<strong id=\"state\" aria-live=\"polite\"></strong>"));
     let fields = named("name");
     for part in ["video", "masks", "keypoints", "camera", "poses", "preset", "height_m", "seed"] {
         assert!(fields.iter().any(|field| field == part), "{part}");
