@@ -81,7 +81,7 @@ impl Gpu {
     }
 
     fn track<T>(&self, label: &str, raw: wgpu::Buffer, len: usize) -> Buffer<T> {
-        if strikes(Point::Memory) {
+        if strikes(if self.is_apart() { Point::Picture } else { Point::Memory }) {
             self.run_out_of_memory(label);
         }
         self.memory.add(raw.size());

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 
 use super::bindings::Bindings;
+use super::faults::Faults;
 use super::kernel::Kernel;
 use super::timing::Timings;
 
@@ -59,16 +60,10 @@ pub struct Gpu {
     info: DeviceInfo,
     pub(super) kernels: Mutex<HashMap<u64, Arc<Kernel>>>,
     pub(super) memory: Arc<Memory>,
-    pub(super) fault: Arc<Mutex<Option<Fault>>>,
+    pub(super) faults: Faults,
     pub(super) timings: Timings,
     /// What offsets of uniform bindings are multiples of.
     pub(super) params_alignment: usize,
-}
-
-#[derive(Clone, Debug)]
-pub(super) enum Fault {
-    Lost(String),
-    Failed(String),
 }
 
 /// Bytes of buffers alive now and at most, and what binds them.
@@ -107,6 +102,11 @@ impl Memory {
         let mut bindings = self.bindings.lock().unwrap_or_else(PoisonError::into_inner);
         bindings.begin(&gpu.device, &gpu.queue, params, self.dropped.load(Ordering::Relaxed));
         bindings
+    }
+
+    /// Lets go of all that dispatches bind, also of the buffer of their parameters: it may not be whole.
+    pub(super) fn renew_bindings(&self) {
+        *self.bindings.lock().unwrap_or_else(PoisonError::into_inner) = Bindings::default();
     }
 
     /// A number that nothing else on the device has.
@@ -185,17 +185,8 @@ impl Gpu {
             })
             .await
             .map_err(|e| GpuError::Open { adapter: info.name.clone(), reason: e.to_string() })?;
-        let fault = Arc::new(Mutex::new(None));
-        let lost = fault.clone();
-        device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                lost.lock().unwrap().get_or_insert(Fault::Lost(message));
-            }
-        });
-        let failed = fault.clone();
-        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
-            failed.lock().unwrap().get_or_insert(Fault::Failed(error.to_string()));
-        }));
+        let faults = Faults::default();
+        faults.listen(&device);
         let gpu = Gpu {
             info: DeviceInfo {
                 name: info.name.clone(),
@@ -214,7 +205,7 @@ impl Gpu {
             queue,
             kernels: Mutex::default(),
             memory: Arc::default(),
-            fault,
+            faults,
             timings: Timings::default(),
             params_alignment,
         };
@@ -224,27 +215,6 @@ impl Gpu {
 
     pub fn info(&self) -> &DeviceInfo {
         &self.info
-    }
-
-    /// The first error that the device reported since it was opened, if any. Errors stay: open a fresh device.
-    pub fn check(&self) -> Result<(), GpuError> {
-        match self.fault.lock().unwrap().clone() {
-            None => Ok(()),
-            Some(Fault::Lost(reason)) => Err(GpuError::Lost(reason)),
-            Some(Fault::Failed(reason)) => Err(GpuError::Failed(reason)),
-        }
-    }
-
-    /// Destroys the device under those who use it, as a driver that resets does. For rehearsals.
-    pub(super) fn lose(&self) {
-        self.device.destroy();
-        self.fault.lock().unwrap().get_or_insert(Fault::Lost("destroyed in a rehearsal".into()));
-    }
-
-    /// Leaves the fault that a device without memory reports. For rehearsals.
-    pub(super) fn run_out_of_memory(&self, label: &str) {
-        let reason = format!("Not enough memory left for {label} (a rehearsal)");
-        self.fault.lock().unwrap().get_or_insert(Fault::Failed(reason));
     }
 
     /// Waits until all submitted work is done.

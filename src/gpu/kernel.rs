@@ -43,7 +43,7 @@ impl Gpu {
         }
         let mut text = expand(label, source, Expansion { wide_sums, constants });
         let entries = layout_entries(label, &text);
-        if strikes(Point::Shader) {
+        if !self.is_apart() && strikes(Point::Shader) {
             text.push_str("\nthis is no WGSL");
         }
         let desc = wgpu::ShaderModuleDescriptor { label: Some(label), source: wgpu::ShaderSource::Wgsl(text.into()) };

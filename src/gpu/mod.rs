@@ -6,6 +6,7 @@
 mod bindings;
 mod buffer;
 mod device;
+mod faults;
 mod kernel;
 mod recorder;
 mod rehearsal;

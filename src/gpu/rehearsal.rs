@@ -1,6 +1,7 @@
 //! Faults of the device on order, for tests of what lives above it. `EFFIGY_TEST_DEVICE_FAULT=lost@200` takes the device
 //! away at the 200th submission, `memory@50` refuses the 50th buffer, `shader@5` spoils the source of the 5th kernel that is
-//! compiled; `…*3` does so three times, counting anew after each. Counted over the whole process.
+//! compiled, neither counting work that is done apart, and `picture@5` refuses the 5th buffer of such work; `…*3` does so three
+//! times, counting anew after each. Counted over the whole process.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -13,6 +14,8 @@ pub(super) enum Point {
     Memory,
     /// A kernel: its shader does not compile.
     Shader,
+    /// A buffer of work that is done apart, as pictures are drawn: the device has no memory.
+    Picture,
 }
 
 struct Order {
@@ -54,6 +57,7 @@ fn parse(text: &str) -> Option<Order> {
         "lost" => Point::Lost,
         "memory" => Point::Memory,
         "shader" => Point::Shader,
+        "picture" => Point::Picture,
         _ => return None,
     };
     Some(Order { point, at: at.parse().ok()?, state: Mutex::new((times.parse().ok()?, 0)) })

@@ -37,14 +37,20 @@ impl Draughtsman {
         self.kept.clear();
     }
 
-    /// Writes the picture or mesh to `to`, whole or not at all.
+    /// Writes the picture or mesh to `to`, whole or not at all. A fit that has the device does not end with a picture for which there
+    /// is no memory.
     pub fn draw(&mut self, gpu: &Arc<Gpu>, request: &RenderRequest, to: &Path) -> Result<(), RenderError> {
-        let kept = self.model(gpu, &request.model)?;
-        let content = match &request.what {
-            What::Image(image) => kept.image(image)?,
-            What::Mesh { frame } => kept.mesh(gpu, *frame)?,
-        };
+        let drawn = gpu.apart(|| self.content(gpu, request));
+        let content = drawn.inspect_err(|_| self.forget()).map_err(failed)??;
         write_atomic(to, &content).map_err(failed)
+    }
+
+    fn content(&mut self, gpu: &Arc<Gpu>, request: &RenderRequest) -> Result<Vec<u8>, RenderError> {
+        let kept = self.model(gpu, &request.model)?;
+        match &request.what {
+            What::Image(image) => kept.image(image),
+            What::Mesh { frame } => kept.mesh(gpu, *frame),
+        }
     }
 
     fn model(&mut self, gpu: &Arc<Gpu>, path: &Path) -> Result<&mut Kept, RenderError> {

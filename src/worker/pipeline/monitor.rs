@@ -1,6 +1,7 @@
 //! What a run tells and is told between its steps: progress, losses, previews, and whether to stop.
 
 use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Instant, SystemTime};
@@ -62,7 +63,9 @@ pub(super) struct Monitor<'a> {
     checkpoint: PathBuf,
     /// When the checkpoint was written that was last told of.
     saved: Option<SystemTime>,
-    /// Where they are wanted, from the end of stage 0 on.
+    /// Whether pictures are wanted and can be had.
+    takes_previews: bool,
+    /// Where they are, from the end of stage 0 on.
     previews: Option<Previews>,
     /// What was last told.
     told: Option<Progress>,
@@ -78,6 +81,7 @@ impl<'a> Monitor<'a> {
     ) -> Self {
         Self {
             gpu,
+            takes_previews: observer.takes_previews(),
             observer,
             stopped: None,
             secs: BTreeMap::new(),
@@ -145,7 +149,7 @@ impl<'a> Monitor<'a> {
         config: &FitConfig,
         state: &FitState,
     ) {
-        if self.observer.takes_previews() {
+        if self.takes_previews {
             self.previews = Some(Previews::new(body, capture, camera, config, state));
             self.look(state);
         }
@@ -241,12 +245,18 @@ impl Control for Monitor<'_> {
         self.previews.as_ref().is_some_and(|previews| previews.is_due(self.progress))
     }
 
-    /// A picture is worth showing, not failing for: what is wrong with the device the next step finds out.
+    /// A picture is worth showing, not failing for: without memory for one, or whatever else is wrong with it, this attempt goes on
+    /// without pictures. What is wrong with the device itself the next step finds out.
     fn look(&mut self, state: &FitState) {
         let (Some(previews), Some(at)) = (&mut self.previews, &self.told) else { return };
-        match previews.draw(self.gpu, state, self.progress) {
+        let draw = || self.gpu.apart(|| previews.draw(self.gpu, state, self.progress));
+        let drawn = catch_unwind(AssertUnwindSafe(draw)).unwrap_or_else(|_| Ok(Err(anyhow::anyhow!("panicked"))));
+        match drawn.map_err(Into::into).flatten() {
             Ok(jpeg) => self.observer.preview(Preview { jpeg, at: at.clone() }),
-            Err(error) => tracing::warn!(%error, "no preview"),
+            Err(error) => {
+                tracing::warn!(%error, "no preview, and none from here on");
+                (self.previews, self.takes_previews) = (None, false);
+            }
         }
     }
 }

@@ -107,6 +107,25 @@ fn a_device_that_always_fails_fails_the_job_and_not_the_server() {
     assert_eq!(rig.client.get(format!("{}/readyz", rig.serve.url)).send().unwrap().status(), 200);
 }
 
+#[test]
+fn a_picture_that_the_device_has_no_memory_for_costs_no_attempt() {
+    if no_device("a_picture_that_the_device_has_no_memory_for_costs_no_attempt") {
+        return;
+    }
+    let data = tempfile::tempdir().unwrap();
+    // In the first preview, then in the first render.
+    let rig = Rig::start(data.path(), &[], &[("EFFIGY_TEST_DEVICE_FAULT", "picture@3*2")]);
+    let job = rig.post();
+    let end = rig.end(&job);
+    assert_eq!((&end["state"], &end["attempt"], &end["error"]), (&json!("succeeded"), &json!(1), &Value::Null));
+    assert_eq!(end["preview_url"], Value::Null, "the attempt went on without");
+    let render = || {
+        let url = format!("{}/renders", job.replace("/jobs/", "/avatars/"));
+        rig.client.post(url).json(&json!({ "frame": 0 })).send().unwrap().status()
+    };
+    assert_eq!((render(), render()), (500.try_into().unwrap(), 200.try_into().unwrap()));
+}
+
 /// Bytes of the files below a folder whose paths contain the word.
 fn bytes_of(folder: &Path, word: &str) -> u64 {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
