@@ -93,14 +93,22 @@ pub fn run(args: Args) -> Result<()> {
 
 fn device() -> Check {
     let driver = "install a Vulkan driver (Debian: libvulkan1 and mesa-vulkan-drivers, or the vendor's), and in a container \
-                  give it the device; EFFIGY_DEVICE chooses an adapter by a part of its name";
+                  give it the device; EFFIGY_DEVICE chooses an adapter by a part of its name, NAME#2 the second of that name";
     match Gpu::open(&DeviceSelect::Auto) {
         Ok(gpu) => {
             let info = gpu.info();
-            let found = format!("{} ({}, {})", info.name, info.backend, info.driver);
+            let mut found = format!("{} ({}, {})", info.name, info.backend, info.driver);
+            if info.software {
+                found.push_str(", which computes on the CPU");
+            }
+            if !gpu.skipped().is_empty() {
+                let mend =
+                    "mend what keeps it from opening (its driver, who else has it), or choose another by EFFIGY_DEVICE";
+                return Check::warning("device", format!("{found}; passed over: {}", gpu.skipped().join("; ")), mend);
+            }
             if info.software {
                 let mend = "fits take minutes instead of seconds; a graphics device with a Vulkan driver is faster";
-                return Check::warning("device", format!("{found}, which computes on the CPU"), mend);
+                return Check::warning("device", found, mend);
             }
             Check::ok("device", found)
         }

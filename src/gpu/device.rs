@@ -1,9 +1,10 @@
-//! Adapter selection and the device's life.
+//! The device's life.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 
+use super::adapters::{candidates, first_that_opens, lack};
 use super::bindings::Bindings;
 use super::faults::Faults;
 use super::kernel::Kernel;
@@ -16,6 +17,8 @@ pub enum GpuError {
     NoAdapter(String),
     #[error("the adapter {adapter} could not be opened: {reason}")]
     Open { adapter: String, reason: String },
+    #[error("no adapter could be opened: {0}")]
+    NoneOpens(String),
     #[error("the device was lost: {0}")]
     Lost(String),
     #[error("the device reported: {0}")]
@@ -25,10 +28,10 @@ pub enum GpuError {
 /// Which adapter to use.
 #[derive(Clone, Debug, Default)]
 pub enum DeviceSelect {
-    /// The fastest hardware adapter, else a software one. `EFFIGY_DEVICE` (part of an adapter's name) overrides it.
+    /// The fastest hardware adapter that opens, else a software one. `EFFIGY_DEVICE`, a text as for `Named`, overrides it.
     #[default]
     Auto,
-    /// The first adapter whose name contains this text, without regard to case.
+    /// The first adapter whose name contains this text, without regard to case, or with `#2` at its end the second; no other one.
     Named(String),
 }
 
@@ -58,6 +61,7 @@ pub struct Gpu {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     info: DeviceInfo,
+    skipped: Vec<String>,
     pub(super) kernels: Mutex<HashMap<u64, Arc<Kernel>>>,
     pub(super) memory: Arc<Memory>,
     pub(super) faults: Faults,
@@ -116,42 +120,34 @@ impl Memory {
 }
 
 impl Gpu {
-    /// Opens a device. Blocks; errors when no adapter is there or it refuses.
+    /// Opens a device. Blocks; errors when no adapter is there, or none that may be tried is of use.
     pub fn open(select: &DeviceSelect) -> Result<Arc<Gpu>, GpuError> {
-        pollster::block_on(Self::open_async(select))
-    }
-
-    async fn open_async(select: &DeviceSelect) -> Result<Arc<Gpu>, GpuError> {
         let backends = wgpu::Backends::VULKAN | wgpu::Backends::METAL | wgpu::Backends::DX12;
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
             backends,
             ..wgpu::InstanceDescriptor::new_without_display_handle()
         });
-        let mut adapters = instance.enumerate_adapters(backends).await;
-        let wanted = match select {
-            DeviceSelect::Named(name) => Some(name.clone()),
-            DeviceSelect::Auto => std::env::var("EFFIGY_DEVICE").ok().filter(|name| !name.is_empty()),
+        let adapters = pollster::block_on(instance.enumerate_adapters(backends));
+        let kind_and_name = |adapter: &wgpu::Adapter| {
+            let info = adapter.get_info();
+            (info.device_type, info.name)
         };
-        let names: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
-        if let Some(wanted) = &wanted {
-            adapters.retain(|a| a.get_info().name.to_lowercase().contains(&wanted.to_lowercase()));
+        let adapters = candidates(adapters, select, kind_and_name)?;
+        let (mut gpu, skipped) = first_that_opens(adapters, |adapter| pollster::block_on(Self::from_adapter(adapter)))?;
+        gpu.skipped = skipped.iter().map(ToString::to_string).collect();
+        for reason in &gpu.skipped {
+            tracing::warn!(reason, taken = gpu.info.name, "a device is passed over");
         }
-        adapters.sort_by_key(|a| match a.get_info().device_type {
-            wgpu::DeviceType::DiscreteGpu => 0,
-            wgpu::DeviceType::IntegratedGpu => 1,
-            wgpu::DeviceType::VirtualGpu => 2,
-            wgpu::DeviceType::Other => 3,
-            wgpu::DeviceType::Cpu => 4,
-        });
-        let adapter = adapters
-            .into_iter()
-            .next()
-            .ok_or_else(|| GpuError::NoAdapter(format!("seen: {names:?}, wanted: {wanted:?}")))?;
-        Self::from_adapter(&adapter).await
+        Ok(Arc::new(gpu))
     }
 
-    async fn from_adapter(adapter: &wgpu::Adapter) -> Result<Arc<Gpu>, GpuError> {
+    async fn from_adapter(adapter: &wgpu::Adapter) -> Result<Gpu, GpuError> {
         let info = adapter.get_info();
+        let unfit = |reason| GpuError::Open { adapter: info.name.clone(), reason };
+        let limits = adapter.limits();
+        if let Some(reason) = lack(&limits) {
+            return Err(unfit(reason));
+        }
         let mut features = wgpu::Features::empty();
         // `EFFIGY_NO_WIDE_ATOMICS` tests what stands for them on a device that has them.
         let wide = wgpu::Features::SHADER_INT64 | wgpu::Features::SHADER_INT64_ATOMIC_MIN_MAX;
@@ -170,7 +166,6 @@ impl Gpu {
         if clock {
             features |= stamps;
         }
-        let limits = adapter.limits();
         let params_alignment = limits.min_uniform_buffer_offset_alignment as usize;
         let max_binding_bytes = limits.max_storage_buffer_binding_size;
         let max_workgroup = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
@@ -184,7 +179,7 @@ impl Gpu {
                 trace: wgpu::Trace::Off,
             })
             .await
-            .map_err(|e| GpuError::Open { adapter: info.name.clone(), reason: e.to_string() })?;
+            .map_err(|e| unfit(e.to_string()))?;
         let faults = Faults::default();
         faults.listen(&device);
         let gpu = Gpu {
@@ -201,6 +196,7 @@ impl Gpu {
                 max_binding_bytes,
                 max_workgroup,
             },
+            skipped: Vec::new(),
             device,
             queue,
             kernels: Mutex::default(),
@@ -210,11 +206,16 @@ impl Gpu {
             params_alignment,
         };
         gpu.set_profiling(std::env::var_os("EFFIGY_GPU_PROFILE").is_some());
-        Ok(Arc::new(gpu))
+        Ok(gpu)
     }
 
     pub fn info(&self) -> &DeviceInfo {
         &self.info
+    }
+
+    /// Why adapters that would have come first were not taken, each by its name.
+    pub fn skipped(&self) -> &[String] {
+        &self.skipped
     }
 
     /// Waits until all submitted work is done.

@@ -3,6 +3,7 @@
 //! An operator holds [`Kernel`]s and records dispatches over [`Buffer`]s into a [`Recorder`]; one recorder is one
 //! submission, so a whole optimisation step reaches the device at once.
 
+mod adapters;
 mod bindings;
 mod buffer;
 mod device;
@@ -13,6 +14,7 @@ mod rehearsal;
 pub mod shader;
 mod timing;
 
+pub use adapters::WORKGROUP_BYTES;
 pub use buffer::Buffer;
 pub use device::{DeviceInfo, DeviceSelect, Gpu, GpuError};
 pub use kernel::Kernel;

@@ -158,6 +158,7 @@ fn exact_add(buffer: &str, wide: bool, out: &mut String) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::adapters::NEEDS;
     use super::*;
 
     fn shaders() -> Vec<(String, String)> {
@@ -207,6 +208,41 @@ mod tests {
     fn rows_of_workgroups_are_as_long_here_as_there() {
         let (_, source) = SHARED.iter().find(|(name, _)| *name == "shared/linear_groups").unwrap();
         assert!(source.contains(&format!("const ROW: u32 = {}u;", crate::gpu::recorder::ROW)), "{source}");
+    }
+
+    /// Adapters that open have what every kernel needs, and none is refused for more than that.
+    #[test]
+    fn shaders_need_what_adapters_are_asked_for() {
+        use naga::AddressSpace::{Storage, WorkGroup};
+        let mut most: HashMap<&str, (u64, String)> = HashMap::new();
+        for (label, source) in shaders() {
+            let text = expand(&label, &source, Expansion { wide_sums: true, constants: &[] });
+            let module = naga::front::wgsl::parse_str(&text).unwrap();
+            let mut layouter = naga::proc::Layouter::default();
+            layouter.update(module.to_ctx()).unwrap();
+            let variables = || module.global_variables.iter().map(|(_, variable)| variable);
+            let storage = variables().filter(|variable| matches!(variable.space, Storage { .. })).count();
+            let shared = variables().filter(|variable| variable.space == WorkGroup);
+            let bytes: u64 = shared.map(|variable| u64::from(layouter[variable.ty].size.next_multiple_of(16))).sum();
+            let size = module.entry_points[0].workgroup_size.map(u64::from);
+            for (limit, need) in [
+                ("max_storage_buffers_per_shader_stage", storage as u64),
+                ("max_compute_invocations_per_workgroup", size.iter().product()),
+                ("max_compute_workgroup_size_x", size[0]),
+                ("max_compute_workgroup_storage_size", bytes),
+            ] {
+                let most = most.entry(limit).or_default();
+                if need > most.0 {
+                    *most = (need, label.clone());
+                }
+            }
+        }
+        for (limit, (need, label)) in most {
+            let (_, _, asked) = NEEDS.iter().find(|(name, ..)| *name == limit).unwrap();
+            // The weights of a texture may take all of a workgroup's memory; those of the default do not.
+            let fits = if limit == "max_compute_workgroup_storage_size" { need <= *asked } else { need == *asked };
+            assert!(fits, "{label}: {limit} of {need}, asked for {asked}");
+        }
     }
 
     #[test]

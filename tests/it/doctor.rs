@@ -90,6 +90,17 @@ fn a_machine_that_has_all_is_well() {
 }
 
 #[test]
+fn a_device_that_is_not_there_is_told_with_those_that_are() {
+    let data = tempfile::tempdir().unwrap();
+    let (ok, report) = doctor(data.path(), |command| {
+        command.env("EFFIGY_DEVICE", "no such device#2");
+    });
+    let check = check(&report, "device");
+    assert!(!ok && check["state"] == "failed" && check["mend"].as_str().unwrap().contains("NAME#2"), "{report}");
+    assert!(check["found"].as_str().unwrap().contains("no such device#2"), "{report}");
+}
+
+#[test]
 fn a_damaged_database_is_told() {
     let data = tempfile::tempdir().unwrap();
     let path = data.path().join("effigy.db");

@@ -32,13 +32,12 @@ pub use gpu::TextureField;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
+use crate::gpu::WORKGROUP_BYTES;
+
 /// Features of a table entry; the kernels read an entry as one vector.
 pub const FEATURES: usize = 2;
 /// The most levels that the kernels' uniform block holds.
 pub const MAX_LEVELS: usize = 32;
-
-/// Workgroup memory that every desktop device has.
-const WORKGROUP_BYTES: usize = 32 * 1024;
 
 /// The sizes of a field.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
