@@ -5,7 +5,7 @@ use super::trace::SurfacePoint;
 use crate::gpu::{Gpu, GpuError};
 use crate::ops::texture_field::{TextureField, TextureFieldError};
 
-/// Points of one pass: bounds the activations to some 50 MB.
+/// Points of one pass: bounds the activations to some 25 MB.
 const CAPACITY: usize = 1 << 16;
 
 /// The texture field of an avatar with the coordinates of its vertices.
@@ -18,7 +18,7 @@ pub struct SurfaceTexture {
 impl SurfaceTexture {
     pub fn new(gpu: &Gpu, model: &AvatarModel) -> Result<Self, TextureFieldError> {
         Ok(Self {
-            field: TextureField::new(gpu, model.texture_config, &model.texture, CAPACITY)?,
+            field: TextureField::to_show(gpu, model.texture_config, &model.texture, CAPACITY)?,
             faces: model.body.faces.clone(),
             texcoords: model.texcoords.clone(),
         })

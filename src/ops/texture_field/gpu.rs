@@ -110,6 +110,7 @@ pub struct TextureField {
     shares: Shares,
     encode_params: EncodeParams,
     kernels: Kernels,
+    learns: bool,
     activations: Activations,
     /// `[entries, 2]`
     pub table: Buffer<f32>,
@@ -133,12 +134,33 @@ impl TextureField {
         params: &TextureFieldParams,
         capacity: usize,
     ) -> Result<Self, TextureFieldError> {
+        Self::with(gpu, config, params, capacity, true)
+    }
+
+    /// As [`new`](Self::new), for forward passes alone: gradients have no room and take none.
+    pub fn to_show(
+        gpu: &Gpu,
+        config: TextureFieldConfig,
+        params: &TextureFieldParams,
+        capacity: usize,
+    ) -> Result<Self, TextureFieldError> {
+        Self::with(gpu, config, params, capacity, false)
+    }
+
+    fn with(
+        gpu: &Gpu,
+        config: TextureFieldConfig,
+        params: &TextureFieldParams,
+        capacity: usize,
+        learns: bool,
+    ) -> Result<Self, TextureFieldError> {
         params.validate(&config)?;
         let layout = Layout::new(&config);
         let shares = Shares::of(gpu);
         assert!(capacity <= shares.max_capacity(), "texture_field: capacity {capacity}");
         let (encoded, hidden) = (4 * layout.encoded4 * capacity, 4 * layout.hidden4 * capacity);
         let scratch = |name: &str, len: usize| gpu.zeros::<f32>(&format!("texture_field/{name}"), len);
+        let gradient = |name: &str, len: usize| scratch(name, if learns { len } else { 0 });
         Ok(Self {
             config,
             layout,
@@ -146,22 +168,23 @@ impl TextureField {
             shares,
             encode_params: encode_params(&config),
             kernels: kernels(gpu, &layout, &shares),
+            learns,
             activations: Activations {
                 groups: gpu.zeros("texture_field/groups", 15),
                 encoded: scratch("encoded", encoded),
                 hidden0: scratch("hidden0", hidden),
                 hidden1: scratch("hidden1", hidden),
-                delta0: scratch("delta0", hidden),
-                delta1: scratch("delta1", hidden),
-                delta2: scratch("delta2", 4 * capacity),
-                grad_encoded: scratch("grad_encoded", encoded),
-                partial: scratch("partial", capacity.div_ceil(shares.chunk) * 4 * layout.weights4()),
+                delta0: gradient("delta0", hidden),
+                delta1: gradient("delta1", hidden),
+                delta2: gradient("delta2", 4 * capacity),
+                grad_encoded: gradient("grad_encoded", encoded),
+                partial: gradient("partial", capacity.div_ceil(shares.chunk) * 4 * layout.weights4()),
             },
             table: gpu.upload("texture_field/table", &params.table),
             weights: gpu.upload("texture_field/weights", &layout.pack(params)),
-            grad_table: scratch("grad_table", params.table.len()),
-            table_sums: ExactSum::new(gpu, "texture_field/table_sums", params.table.len()),
-            grad_weights: scratch("grad_weights", 4 * layout.weights4()),
+            grad_table: gradient("grad_table", params.table.len()),
+            table_sums: ExactSum::new(gpu, "texture_field/table_sums", if learns { params.table.len() } else { 0 }),
+            grad_weights: gradient("grad_weights", 4 * layout.weights4()),
             rgb: scratch("rgb", 3 * capacity),
         })
     }
@@ -201,7 +224,7 @@ impl TextureField {
     /// `grad_coords [P, 3]` what `grad_rgb [P, 3]` says, and to `grad_table` when [`settle`](Self::settle) follows.
     ///
     /// # Panics
-    /// As `forward`, and when a gradient is shorter than `n_max`.
+    /// As `forward`, when a gradient is shorter than `n_max`, and in a field [to show](Self::to_show).
     pub fn backward(
         &self,
         recorder: &mut Recorder<'_>,
@@ -211,6 +234,7 @@ impl TextureField {
         grad_rgb: &Buffer<f32>,
         grad_coords: &Buffer<f32>,
     ) {
+        assert!(self.learns, "texture_field: it has no gradients");
         let shortest = [self.capacity, coords.len() / 3, grad_rgb.len() / 3, grad_coords.len() / 3];
         assert!(shortest.iter().all(|&len| n_max <= len), "texture_field: {n_max} coordinates of {shortest:?}");
         let a = &self.activations;

@@ -266,6 +266,9 @@ fn points_are_evaluated_in_passes() {
     let rgb = field.eval_points(&gpu, &coords).unwrap();
     assert_close("rgb", &rgb, &cpu::forward(&config, &params, &coords), VALUE);
     assert_eq!(field.params(&gpu).unwrap(), params);
+    let shown = TextureField::to_show(&gpu, config, &params, 16).unwrap();
+    assert_eq!(shown.eval_points(&gpu, &coords).unwrap(), rgb);
+    assert!(shown.grad_table.is_empty(), "only what learns has room for gradients");
 }
 
 #[test]
