@@ -45,6 +45,7 @@ async fn work(config: &Config, renders_on_stdio: bool) -> Result<()> {
     let device = DeviceThread::start(DeviceEngine::default())?;
     let (shutdown, stopped) = watch::channel(false);
     if renders_on_stdio {
+        tokio::spawn(channel::tell(device.trouble()));
         let (device, shutdown) = (device.clone(), shutdown.clone());
         thread::Builder::new().name("channel".into()).spawn(move || {
             if let Err(error) = channel::serve(std::io::stdin().lock(), &device) {

@@ -18,7 +18,7 @@ pub(super) async fn healthz() -> &'static str {
 
 /// Can the service do its work?
 ///
-/// Asks the database and looks whether the worker answers; a load balancer sends requests while this is 200.
+/// Asks the database and looks whether the worker is there and has a device; a load balancer sends requests while this is 200.
 #[utoipa::path(get, path = "/readyz", tag = "service", responses(
     (status = 200, description = "It can", body = String, content_type = "text/plain"),
     (status = 503, description = "It cannot, and why", body = Problem, content_type = "application/problem+json"),

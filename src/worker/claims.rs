@@ -8,6 +8,7 @@ use tokio::sync::watch;
 use super::device_thread::DeviceThread;
 use super::owner::Owner;
 use super::runner::Runner;
+use crate::gpu::GpuError;
 use crate::jobs::{Job, Lease, Queue, QueueError};
 use crate::storage::Store;
 
@@ -18,20 +19,27 @@ pub struct WorkerSettings {
     pub poll: Duration,
     /// A fit that shows no step for longer hangs: its attempt ends, and the process with it.
     pub stall: Duration,
+    /// How often a device that does not open is tried again.
+    pub reopen: Duration,
 }
 
 impl Default for WorkerSettings {
     fn default() -> Self {
-        WorkerSettings { poll: Duration::from_millis(500), stall: Duration::from_secs(600) }
+        WorkerSettings {
+            poll: Duration::from_millis(500),
+            stall: Duration::from_secs(600),
+            reopen: Duration::from_secs(10),
+        }
     }
 }
 
-/// The device's thread is stuck in a fit.
+/// The device's thread is stuck.
 #[derive(Debug, thiserror::Error)]
-#[error("the fit of job {job} has shown no step for {secs} s")]
-pub struct Hung {
-    pub job: uuid::Uuid,
-    pub secs: u64,
+pub enum Hung {
+    #[error("the fit of job {job} has shown no step for {secs} s")]
+    Fit { job: uuid::Uuid, secs: u64 },
+    #[error("the device has not been opened for {secs} s")]
+    Opening { secs: u64 },
 }
 
 /// Claims jobs one after the other and runs them.
@@ -55,7 +63,7 @@ impl Worker {
             stall: self.settings.stall,
             shutdown: shutdown.clone(),
         };
-        let mut had_room = true;
+        let (mut had_room, mut had_device) = (true, true);
         while !*shutdown.borrow_and_update() {
             // A fit that fills the disk takes the whole service down: it waits, and so do the jobs.
             let has_room = self.store.has_room(0);
@@ -63,7 +71,19 @@ impl Worker {
                 tracing::warn!(reserve_bytes = self.store.reserve_bytes(), has_room, "the disk's reserve");
                 had_room = has_room;
             }
-            match self.claim_if(has_room).await {
+            // Without a device each job would spend its attempts within seconds, and the next one after it.
+            let opened = tokio::select! {
+                opened = self.open() => opened?,
+                changed = shutdown.changed() => if changed.is_err() { break } else { continue },
+            };
+            let has_device = opened.is_ok();
+            match opened {
+                Err(error) if had_device => tracing::warn!(%error, "no device: jobs wait"),
+                Ok(()) if !had_device => tracing::info!("the device is open"),
+                _ => {}
+            }
+            had_device = has_device;
+            match self.claim_if(has_room && has_device).await {
                 Ok(Some((lease, job))) => {
                     runner.run(&lease, &job).await?;
                     continue;
@@ -72,7 +92,7 @@ impl Worker {
                 Err(error) => tracing::warn!(%error, "no claim"),
             }
             tokio::select! {
-                () = tokio::time::sleep(self.settings.poll) => {}
+                () = tokio::time::sleep(if has_device { self.settings.poll } else { self.settings.reopen }) => {}
                 // The sender's end is the end of the process.
                 changed = shutdown.changed() => if changed.is_err() { break },
             }
@@ -81,7 +101,16 @@ impl Worker {
         Ok(())
     }
 
-    async fn claim_if(&self, has_room: bool) -> Result<Option<(Lease, Job)>, QueueError> {
-        if has_room { self.queue.claim(self.owner.id()).await } else { Ok(None) }
+    /// Waits for pictures that are being drawn, as a fit would.
+    async fn open(&self) -> Result<Result<(), GpuError>, Hung> {
+        match tokio::time::timeout(self.settings.stall, self.device.open()).await {
+            Ok(Ok(opened)) => Ok(opened),
+            Ok(Err(_)) => Ok(Err(GpuError::Lost("the device's thread ended".into()))),
+            Err(_) => Err(Hung::Opening { secs: self.settings.stall.as_secs() }),
+        }
+    }
+
+    async fn claim_if(&self, may: bool) -> Result<Option<(Lease, Job)>, QueueError> {
+        if may { self.queue.claim(self.owner.id()).await } else { Ok(None) }
     }
 }

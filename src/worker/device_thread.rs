@@ -15,12 +15,13 @@ use tracing::Span;
 use super::engine::{Engine, FitTask};
 use super::pipeline::{Observer, Outcome, PipelineError, Preview, Progress, StopReason};
 use super::renders::Draughtsman;
-use crate::gpu::Gpu;
+use crate::gpu::{Gpu, GpuError};
 use crate::jobs::render::{RenderError, RenderRequest};
 
 type Answer = Box<dyn FnOnce(Result<(), RenderError>) + Send>;
 
 enum Task {
+    Open(oneshot::Sender<Result<(), GpuError>>),
     Fit { task: Box<FitTask>, control: Arc<Control>, done: oneshot::Sender<Result<Outcome, PipelineError>> },
     Draw(Box<Drawing>),
 }
@@ -115,14 +116,29 @@ impl Control {
 #[derive(Clone)]
 pub struct DeviceThread {
     tasks: Sender<Task>,
+    /// Why there is no device.
+    trouble: watch::Receiver<Option<String>>,
 }
 
 impl DeviceThread {
     /// Starts the thread. It ends when the last handle is gone.
     pub fn start(engine: impl Engine) -> std::io::Result<DeviceThread> {
         let (tasks, inbox) = channel();
-        thread::Builder::new().name("device".into()).spawn(move || serve(engine, &inbox))?;
-        Ok(DeviceThread { tasks })
+        let (told, trouble) = watch::channel(None);
+        thread::Builder::new().name("device".into()).spawn(move || serve(engine, &inbox, &told))?;
+        Ok(DeviceThread { tasks, trouble })
+    }
+
+    /// Opens the device, where it is not open or has failed; the receiver learns whether it is.
+    pub fn open(&self) -> oneshot::Receiver<Result<(), GpuError>> {
+        let (done, opened) = oneshot::channel();
+        let _ = self.tasks.send(Task::Open(done));
+        opened
+    }
+
+    /// Why the device did not open when that was last tried.
+    pub fn trouble(&self) -> watch::Receiver<Option<String>> {
+        self.trouble.clone()
     }
 
     /// Runs a fit; the receiver gets its end.
@@ -149,9 +165,16 @@ impl DeviceThread {
     }
 }
 
-fn serve(mut engine: impl Engine, inbox: &Receiver<Task>) {
+fn serve(mut engine: impl Engine, inbox: &Receiver<Task>, trouble: &watch::Sender<Option<String>>) {
     while let Ok(task) = inbox.recv() {
         match task {
+            Task::Open(done) => {
+                let opened = catch_unwind(AssertUnwindSafe(|| engine.open()));
+                let opened = opened.unwrap_or_else(|panic| Err(GpuError::Failed(panicked(panic.as_ref()).to_string())));
+                let now = opened.as_ref().err().map(ToString::to_string);
+                trouble.send_if_modified(|trouble| std::mem::replace(trouble, now.clone()) != now);
+                let _ = done.send(opened);
+            }
             Task::Fit { task, control, done } => {
                 let mut observer = FitObserver {
                     control,
@@ -287,7 +310,10 @@ fn draw_waiting(
                 // Many pictures take long, and none of them is the fit's fault.
                 control.is_alive();
             }
-            // The claim loop gives one job at a time.
+            // The claim loop gives one job at a time, and asks for the device before.
+            Task::Open(done) => {
+                let _ = done.send(Ok(()));
+            }
             Task::Fit { done, .. } => {
                 let _ = done.send(Err(PipelineError::Internal(anyhow::anyhow!("the device is taken"))));
             }

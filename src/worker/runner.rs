@@ -82,7 +82,7 @@ impl Runner {
         if let Err(error) = self.queue.fail(lease, error, Repeat::Killed).await {
             tracing::error!(job = %lease.job, %error, "the end of the attempt could not be written");
         }
-        Hung { job: lease.job, secs }
+        Hung::Fit { job: lease.job, secs }
     }
 
     async fn task(&self, lease: &Lease, job: &Job) -> std::io::Result<FitTask> {

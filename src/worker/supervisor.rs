@@ -14,7 +14,7 @@ use tokio::process::{Child, ChildStdout, Command};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
 use tokio::time::{Instant, timeout_at};
 
-use super::channel::{Answer, Request};
+use super::channel::{Answer, Request, Word};
 use crate::jobs::render::{RenderError, RenderRequest, Renderer, What};
 
 #[derive(Clone, Debug)]
@@ -77,11 +77,13 @@ struct Line {
     waiting: HashMap<u64, Waiting>,
     /// When the worker last answered, or was asked with nothing else to answer.
     quiet_since: Instant,
+    /// Why the worker has no device, as it says.
+    trouble: Option<String>,
 }
 
 impl Line {
     fn new(requests: Option<mpsc::UnboundedSender<String>>) -> Line {
-        Line { requests, waiting: HashMap::new(), quiet_since: Instant::now() }
+        Line { requests, waiting: HashMap::new(), quiet_since: Instant::now(), trouble: None }
     }
 }
 
@@ -203,8 +205,9 @@ impl Supervisor {
     /// Until the worker closes its output.
     async fn pass_answers(&self, answers: &mut Lines<BufReader<ChildStdout>>) {
         while let Ok(Some(line)) = answers.next_line().await {
-            match serde_json::from_str::<Answer>(&line) {
-                Ok(answer) => self.pass(answer),
+            match serde_json::from_str::<Word>(&line) {
+                Ok(Word::Answer(answer)) => self.pass(answer),
+                Ok(Word::Device { device }) => self.line.lock().unwrap().trouble = device.err(),
                 Err(error) => tracing::warn!(%error, line, "the worker said something else"),
             }
         }
@@ -285,6 +288,9 @@ impl Renderer for Supervisor {
     }
 
     fn trouble(&self) -> Option<String> {
-        (!*self.up.borrow()).then(|| "the worker is starting".into())
+        if !*self.up.borrow() {
+            return Some("the worker is starting".into());
+        }
+        self.line.lock().unwrap().trouble.as_ref().map(|why| format!("the worker waits for a device: {why}"))
     }
 }

@@ -2,10 +2,11 @@
 
 use std::fs;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use super::super::pipeline::StopReason;
 use super::*;
+use crate::gpu::GpuError;
 use crate::jobs::{Change, Deletion};
 
 #[tokio::test]
@@ -231,7 +232,11 @@ async fn locks_go_with_their_workers_also_without_a_job() {
 async fn a_fit_that_hangs_ends_its_attempt_and_its_process() {
     let bench = Bench::new().await;
     let id = bench.add().await;
-    let settings = WorkerSettings { poll: Duration::from_millis(5), stall: Duration::from_millis(50) };
+    let settings = WorkerSettings {
+        poll: Duration::from_millis(5),
+        stall: Duration::from_millis(300),
+        ..WorkerSettings::default()
+    };
     let (_shutdown, worker) = bench.worker_with(settings, |_, observer| {
         observer.progress(&progress(Stage::Geometry, 1));
         loop {
@@ -239,7 +244,7 @@ async fn a_fit_that_hangs_ends_its_attempt_and_its_process() {
         }
     });
     let hung = worker.await.unwrap().unwrap_err();
-    assert_eq!(hung.job, id);
+    assert!(matches!(hung, Hung::Fit { job, .. } if job == id), "{hung}");
     let job = bench.until(id, State::Queued).await;
     let error = job.error.unwrap();
     assert_eq!((error.kind.as_str(), job.attempt), ("stalled", 1));
@@ -298,5 +303,92 @@ async fn a_fit_stops_when_its_deadline_has_passed() {
     bench.add_with(JobOptions { deadline_secs: None, ..JobOptions::default() }).await;
     while bench.store.results(id, 1).exists() {
         tokio::task::yield_now().await;
+    }
+}
+
+#[tokio::test]
+async fn jobs_wait_for_a_device_and_lose_nothing() {
+    let bench = Bench::new().await;
+    let (one, two) = (bench.add().await, bench.add().await);
+    let there = Arc::new(AtomicBool::new(false));
+    let device = DeviceThread::start(Unsteady { there: there.clone(), loses: Some(one) }).unwrap();
+    let mut trouble = device.trouble();
+    let settings = WorkerSettings {
+        poll: Duration::from_millis(5),
+        reopen: Duration::from_millis(5),
+        ..WorkerSettings::default()
+    };
+    let (_shutdown, _worker) = bench.worker_on(settings, device);
+    let attempts = async |id| {
+        let job = bench.queue.get(id).await.unwrap().unwrap();
+        assert_eq!(job.state, State::Queued);
+        job.attempt
+    };
+    // At the start, then again after the device was lost in the first attempt, which counts.
+    for attempt in [0, 1] {
+        let told = trouble.wait_for(Option::is_some).await.unwrap().clone().unwrap();
+        assert!(told.contains("it is taken"), "{told}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        assert_eq!((attempts(one).await, attempts(two).await), (attempt, 0));
+        there.store(true, Ordering::Relaxed);
+        trouble.wait_for(Option::is_none).await.unwrap();
+    }
+    assert_eq!(bench.until(one, State::Succeeded).await.attempt, 2);
+    assert_eq!(bench.until(two, State::Succeeded).await.attempt, 1);
+}
+
+/// Has a device as the test says, and loses it in the first fit of a job.
+struct Unsteady {
+    there: Arc<AtomicBool>,
+    loses: Option<Uuid>,
+}
+
+impl Engine for Unsteady {
+    fn open(&mut self) -> Result<(), GpuError> {
+        match self.there.load(Ordering::Relaxed) {
+            true => Ok(()),
+            false => Err(GpuError::Open { adapter: "the only one".into(), reason: "it is taken".into() }),
+        }
+    }
+
+    fn fit(&mut self, task: &FitTask, _: &mut dyn Observer) -> Result<Outcome, PipelineError> {
+        if self.loses.take_if(|job| task.out_dir.to_string_lossy().contains(&job.to_string())).is_some() {
+            self.there.store(false, Ordering::Relaxed);
+            return Err(GpuError::Lost("it fell off".into()).into());
+        }
+        fs::write(task.out_dir.join("avatar.glb"), b"glTF").unwrap();
+        Ok(outcome())
+    }
+
+    fn draw(&mut self, _: &RenderRequest, _: &Path) -> Result<(), RenderError> {
+        unreachable!()
+    }
+}
+
+#[tokio::test]
+async fn a_device_that_neither_opens_nor_refuses_ends_the_process_and_no_attempt() {
+    let bench = Bench::new().await;
+    let id = bench.add().await;
+    let settings = WorkerSettings { stall: Duration::from_millis(50), ..WorkerSettings::default() };
+    let (_shutdown, worker) = bench.worker_on(settings, DeviceThread::start(Stuck).unwrap());
+    assert!(matches!(worker.await.unwrap().unwrap_err(), Hung::Opening { .. }));
+    assert_eq!(bench.until(id, State::Queued).await.attempt, 0);
+}
+
+struct Stuck;
+
+impl Engine for Stuck {
+    fn open(&mut self) -> Result<(), GpuError> {
+        loop {
+            std::thread::park();
+        }
+    }
+
+    fn fit(&mut self, _: &FitTask, _: &mut dyn Observer) -> Result<Outcome, PipelineError> {
+        unreachable!()
+    }
+
+    fn draw(&mut self, _: &RenderRequest, _: &Path) -> Result<(), RenderError> {
+        unreachable!()
     }
 }

@@ -102,11 +102,19 @@ impl Bench {
         settings: WorkerSettings,
         script: impl Fn(&FitTask, &mut dyn Observer) -> Result<Outcome, PipelineError> + Send + Sync + 'static,
     ) -> (watch::Sender<bool>, tokio::task::JoinHandle<Result<(), Hung>>) {
+        self.worker_on(settings, DeviceThread::start(ScriptedEngine(Arc::new(script))).unwrap())
+    }
+
+    fn worker_on(
+        &self,
+        settings: WorkerSettings,
+        device: DeviceThread,
+    ) -> (watch::Sender<bool>, tokio::task::JoinHandle<Result<(), Hung>>) {
         let (shutdown, stopped) = watch::channel(false);
         let worker = Worker {
             queue: self.queue.clone(),
             store: self.store.clone(),
-            device: DeviceThread::start(ScriptedEngine(Arc::new(script))).unwrap(),
+            device,
             owner: Owner::new(&self.store.workers(), self.env.new_id()).unwrap(),
             settings,
         };

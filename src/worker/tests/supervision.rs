@@ -65,6 +65,34 @@ async fn a_request_that_kills_its_worker_is_given_up() {
 }
 
 #[tokio::test]
+async fn a_worker_without_a_device_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let [lost, found] = ["lost", "found"].map(|name| folder.path().join(name));
+    let await_ = |file: &Path| format!("while [ ! -e {} ]; do sleep 0.01; done", file.display());
+    let script = format!(
+        "echo '{}'; {}; echo '{}'; {}; kill -9 $$",
+        json!({ "device": { "Err": "it is taken" } }),
+        await_(&found),
+        json!({ "device": { "Ok": null } }),
+        await_(&lost),
+    );
+    let supervisor = supervise(folder.path(), &script, |s| s.backoff = Duration::from_secs(60));
+    let told = |word: &str| supervisor.trouble().is_some_and(|trouble| trouble.contains(word));
+    while !told("it is taken") {
+        tokio::task::yield_now().await;
+    }
+    std::fs::write(found, "").unwrap();
+    while supervisor.trouble().is_some() {
+        tokio::task::yield_now().await;
+    }
+    std::fs::write(lost, "").unwrap();
+    while !told("starting") {
+        tokio::task::yield_now().await;
+    }
+    supervisor.stop();
+}
+
+#[tokio::test]
 async fn a_worker_that_is_silent_or_never_starts_is_unavailable() {
     let folder = tempfile::tempdir().unwrap();
     for script in ["cat > /dev/null", "exit 1"] {

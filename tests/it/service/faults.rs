@@ -126,6 +126,38 @@ fn a_picture_that_the_device_has_no_memory_for_costs_no_attempt() {
     assert_eq!((render(), render()), (500.try_into().unwrap(), 200.try_into().unwrap()));
 }
 
+#[test]
+fn without_a_device_jobs_wait_and_the_service_says_so() {
+    if no_device("without_a_device_jobs_wait_and_the_service_says_so") {
+        return;
+    }
+    let data = tempfile::tempdir().unwrap();
+    let rig = Rig::start(data.path(), &[], &[("EFFIGY_DEVICE", "one that is out for repair")]);
+    let begun = Instant::now();
+    loop {
+        let ready = rig.client.get(format!("{}/readyz", rig.serve.url)).send().unwrap();
+        let (status, told) = (ready.status(), ready.text().unwrap());
+        if told.contains("out for repair") {
+            assert_eq!(status, 503);
+            break;
+        }
+        assert!(begun.elapsed() < Duration::from_secs(60), "{told}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let job = rig.post();
+    std::thread::sleep(Duration::from_secs(3));
+    let waiting = rig.ask(&job);
+    assert_eq!(
+        (&waiting["state"], &waiting["attempt"], &waiting["error"]),
+        (&json!("queued"), &json!(0), &Value::Null)
+    );
+    assert!(rig.serve.terminate().success());
+    // Another start with a device loses nothing.
+    let rig = Rig::start(data.path(), &[], &[]);
+    let end = rig.end(&format!("{}{}", rig.serve.url, &job[job.find("/v1/").unwrap()..]));
+    assert_eq!((&end["state"], &end["attempt"]), (&json!("succeeded"), &json!(1)), "{end:#}");
+}
+
 /// Bytes of the files below a folder whose paths contain the word.
 fn bytes_of(folder: &Path, word: &str) -> u64 {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());

@@ -120,7 +120,8 @@ fn worker_process() {
             shutdown.send_replace(true);
         });
         let owner = Owner::new(&store.workers(), env.new_id()).unwrap();
-        let settings = WorkerSettings { poll: Duration::from_millis(20), stall: Duration::from_secs(4) };
+        let (poll, stall) = (Duration::from_millis(20), Duration::from_secs(4));
+        let settings = WorkerSettings { poll, stall, ..WorkerSettings::default() };
         Worker { queue, store, device, owner, settings }.run(stopped).await
     });
     // SAFETY: ends the process, as `effigy worker` does when its device's thread hangs.
