@@ -8,7 +8,7 @@ use super::person::Person;
 use super::timing::{Times, profiled, timed};
 use crate::body::Body;
 use crate::capture::{Capture, Frame};
-use crate::fit::{FitConfig, FitError, FitState, Phase, Stage, with_step};
+use crate::fit::{FitConfig, FitError, FitState, Inputs, Phase, Stage, with_step};
 use crate::gpu::{Gpu, KernelTime};
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
 use crate::ops::skinning::cpu::forward;
@@ -106,11 +106,12 @@ impl StepBench {
         with: impl FnOnce(&mut dyn FnMut() -> Result<(), FitError>) -> Result<R, FitError>,
     ) -> Result<R, FitError> {
         let state = FitState { stage, ..self.state.clone() };
-        let config = &self.config;
+        let Self { body, capture, config, .. } = self;
         let phases = if stage == Stage::Geometry { &config.geometry.phases } else { &config.texture.phases };
         let phase: &Phase = phases.last().expect("a stage has phases");
-        let frames: Vec<usize> = (0..self.capture.frames.len()).collect();
-        with_step(&self.gpu, &self.body, &self.capture, config, &state, phase, &frames, with)
+        let frames: Vec<usize> = (0..capture.frames.len()).collect();
+        let inputs = Inputs { body, capture, camera: &capture.camera, config };
+        with_step(&self.gpu, &inputs, &state, phase, &frames, with)
     }
 
     /// Times of one step on all frames: `repeats` steps after some that compile and warm up, half as many rows, then a few that

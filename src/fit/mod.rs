@@ -40,7 +40,6 @@ use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::gpu::{Gpu, GpuError};
 use crate::npz::NpzError;
-use crate::ops::Topology;
 use look::{Lit, solve_face_colours};
 use poses::PoseGroups;
 use scene::Scene;
@@ -66,22 +65,19 @@ pub enum FitError {
 }
 
 /// What a fit reads.
-struct Inputs<'a> {
-    body: &'a Body,
-    topology: &'a Topology,
-    capture: &'a Capture,
-    camera: &'a Camera,
-    config: &'a FitConfig,
+#[derive(Clone, Copy)]
+pub struct Inputs<'a> {
+    pub body: &'a Body,
+    pub capture: &'a Capture,
+    /// Stage 0's: the clip's own may lack its focal length.
+    pub camera: &'a Camera,
+    pub config: &'a FitConfig,
 }
 
-/// Runs stages 1 and 2 from `state` on; `camera` is stage 0's. The state of every checkpoint goes to `checkpoint`.
-#[expect(clippy::too_many_arguments, reason = "a fit reads a body, a clip, its settings and its controls")]
+/// Runs stages 1 and 2 from `state` on. The state of every checkpoint goes to `checkpoint`.
 pub fn run(
     gpu: &Arc<Gpu>,
-    body: &Body,
-    capture: &Capture,
-    camera: &Camera,
-    config: &FitConfig,
+    inputs: &Inputs<'_>,
     mut state: FitState,
     checkpoint: &Path,
     control: &mut dyn Control,
@@ -89,18 +85,16 @@ pub fn run(
     if state.stage == Stage::Done {
         return Ok(state);
     }
-    let n_levels = config.phases().map(|p| p.level + 1).max().unwrap_or(1);
-    let frames = frames::upload(gpu, capture, camera, n_levels, config.white());
-    let topology = &Topology::new(body.n_vertices(), &body.faces);
+    let n_levels = inputs.config.phases().map(|p| p.level + 1).max().unwrap_or(1);
+    let frames = frames::upload(gpu, inputs.capture, inputs.camera, n_levels, inputs.config.white());
     if state.run_transl.is_empty() {
         state.run_transl.clone_from(&state.transl);
     }
-    let scene = Scene::new(gpu, body, topology, frames, camera, &state.run_transl);
-    let inputs = Inputs { body, topology, capture, camera, config };
+    let scene = Scene::new(gpu, inputs, frames, &state.run_transl);
     let mut outside = Outside { checkpoint, control };
     for (stage, next) in [(Stage::Geometry, Stage::Texture), (Stage::Texture, Stage::Done)] {
         if state.stage == stage {
-            run_stage(&scene, &inputs, &mut state, &mut outside)?;
+            run_stage(&scene, inputs, &mut state, &mut outside)?;
             outside.control.look(&state);
             state.stage = next;
             state.step = 0;
@@ -115,25 +109,19 @@ pub fn run(
 
 /// Hands `with` a call that records and submits one step of `state.stage` on `frames` in `phase`, as [`run`] takes them but for
 /// the learning rates, which are zero: every step finds the same scene. Does not wait. For measurements.
-#[expect(clippy::too_many_arguments, reason = "a fit reads a body, a clip, its settings and its controls")]
 pub fn with_step<R>(
     gpu: &Arc<Gpu>,
-    body: &Body,
-    capture: &Capture,
-    config: &FitConfig,
+    inputs: &Inputs<'_>,
     state: &FitState,
     phase: &Phase,
     frames: &[usize],
     with: impl FnOnce(&mut dyn FnMut() -> Result<(), FitError>) -> Result<R, FitError>,
 ) -> Result<R, FitError> {
-    let camera = &capture.camera;
-    let levels = frames::upload(gpu, capture, camera, phase.level + 1, config.white());
-    let topology = &Topology::new(body.n_vertices(), &body.faces);
-    let scene = Scene::new(gpu, body, topology, levels, camera, &state.transl);
-    let inputs = Inputs { body, topology, capture, camera, config };
-    let mut work = StageWork::new(&scene, &inputs, state)?;
+    let levels = frames::upload(gpu, inputs.capture, inputs.camera, phase.level + 1, inputs.config.white());
+    let scene = Scene::new(gpu, inputs, levels, &state.transl);
+    let mut work = StageWork::new(&scene, inputs, state)?;
     work.start_phase(phase)?;
-    let trust = vec![1.0; capture.frames.len()];
+    let trust = vec![1.0; inputs.capture.frames.len()];
     let mut number = 0;
     with(&mut || {
         number += 1;
@@ -181,7 +169,7 @@ fn solve_colours(scene: &Scene, inputs: &Inputs<'_>, state: &mut FitState) -> Re
     Shape::stand(scene, state)?;
     let (faces, poses) = (&inputs.body.faces, PoseGroups::new(&scene.gpu, inputs.config, state));
     let mut lit =
-        inputs.config.light.then(|| Lit::new(&scene.gpu, faces, inputs.topology, state.n_frames(), state.light));
+        inputs.config.light.then(|| Lit::new(&scene.gpu, faces, &scene.topology, state.n_frames(), state.light));
     state.face_colours = solve_face_colours(scene, faces, lit.as_mut(), &poses, 0)?.colours;
     state.light = lit.map_or(state.light, |lit| lit.light);
     Ok(())

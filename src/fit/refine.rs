@@ -14,7 +14,6 @@ use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::gpu::Gpu;
-use crate::ops::Topology;
 
 /// Steps at half, then at full resolution.
 const STEPS: [u32; 2] = [24, 24];
@@ -56,9 +55,8 @@ pub fn refine_pose(
         warnings: Vec::new(),
     };
     let levels = frames::upload(gpu, &capture, camera, STEPS.len(), config.white());
-    let topology = &Topology::new(body.n_vertices(), &body.faces);
-    let scene = Scene::new(gpu, body, topology, levels, camera, &state.transl);
-    let inputs = Inputs { body, topology, capture: &capture, camera, config };
+    let inputs = Inputs { body, capture: &capture, camera, config };
+    let scene = Scene::new(gpu, &inputs, levels, &state.transl);
     // A phase is not started: that would solve the light anew from this very picture.
     let mut work = StageWork::new(&scene, &inputs, &state)?;
     work.cast_shadows()?;

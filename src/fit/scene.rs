@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use super::Inputs;
 use super::frames::{DeviceFrame, FrameLevel};
-use crate::body::Body;
 use crate::camera::Camera;
 use crate::gpu::{Buffer, Gpu, Recorder};
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
@@ -24,6 +24,7 @@ fn depth_range(camera: &Camera, transl: &[f32]) -> (f64, f64) {
 pub struct Scene {
     pub gpu: Arc<Gpu>,
     pub frames: Vec<DeviceFrame>,
+    pub topology: Topology,
     pub corners: Arc<Corners>,
     pub skinning: SkinningBody,
     pub shape: ShapeState,
@@ -46,15 +47,10 @@ pub struct Scene {
 
 impl Scene {
     /// `transl [N, 3]` is where the person stands at the start.
-    pub fn new(
-        gpu: &Arc<Gpu>,
-        body: &Body,
-        topology: &Topology,
-        frames: Vec<DeviceFrame>,
-        camera: &Camera,
-        transl: &[f32],
-    ) -> Self {
-        let corners = Arc::new(Corners::new(gpu, &body.faces, topology));
+    pub fn new(gpu: &Arc<Gpu>, inputs: &Inputs<'_>, frames: Vec<DeviceFrame>, transl: &[f32]) -> Self {
+        let (body, camera) = (inputs.body, inputs.camera);
+        let topology = Topology::new(body.n_vertices(), &body.faces);
+        let corners = Arc::new(Corners::new(gpu, &body.faces, &topology));
         let skinning = SkinningBody::new(gpu, body);
         let levels = frames.iter().flat_map(|f| &f.levels);
         let max_pixels = levels.map(|l| (l.width * l.height) as usize).max().unwrap_or(1);
@@ -70,6 +66,7 @@ impl Scene {
             grad_vertices: points("grad_vertices"),
             grad_joints: gpu.zeros("fit/grad_joints", crate::body::N_JOINTS * 3),
             skinning,
+            topology,
             corners,
             frames,
             max_pixels,

@@ -30,11 +30,11 @@ pub(super) struct Shape {
 impl Shape {
     pub fn new(scene: &Scene, inputs: &Inputs<'_>, state: &FitState) -> Self {
         let (gpu, config) = (&scene.gpu, AdamConfig::default());
-        let neighbours = &inputs.topology.neighbours;
+        let neighbours = &scene.topology.neighbours;
         Self {
             betas: Group::whole(gpu, "betas", &state.betas, config),
             offsets: VertexGroup::new(gpu, "offsets", &state.offsets, config),
-            mesh: MeshLosses::new(gpu, inputs.body, inputs.topology),
+            mesh: MeshLosses::new(gpu, inputs.body, &scene.topology),
             diffuse: Diffuse::new(gpu, &neighbours.starts, &neighbours.items),
             smooth: None,
             neighbours: neighbours.clone(),

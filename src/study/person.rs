@@ -19,7 +19,7 @@ use crate::capture::{Capture, CaptureInputs, CaptureOptions};
 use crate::eval::{EvalOptions, Novel, Report, Subject, evaluate};
 use crate::fit::config::{DIRECT_OFFSET_RATE, FrameSampling, Phase, Preconditioner};
 use crate::fit::stage0::{self, Stage0Options};
-use crate::fit::{self, Control, FitConfig, FitState, Flow, StepReport};
+use crate::fit::{self, Control, FitConfig, FitState, Flow, Inputs, StepReport};
 use crate::gpu::Gpu;
 use crate::npz::Npz;
 use crate::synth::SynthOptions;
@@ -124,7 +124,8 @@ impl Person {
         let folder = tempfile::tempdir()?;
         let (path, state) = (folder.path().join("checkpoint.npz"), start.state.clone());
         let Self { gpu, body, capture, .. } = self;
-        let state = fit::run(gpu, body, capture, &start.camera, config, state, &path, &mut Silent)?;
+        let inputs = Inputs { body, capture, camera: &start.camera, config };
+        let state = fit::run(gpu, &inputs, state, &path, &mut Silent)?;
         Ok(Fitted { state, camera: start.camera.clone() })
     }
 

@@ -11,7 +11,7 @@ use effigy::avatar::{AvatarModel, RenderSpec, Renderer, UvLayout};
 use effigy::body::Body;
 use effigy::capture::{Capture, CaptureInputs, CaptureOptions};
 use effigy::fit::stage0::{self, Stage0Options};
-use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport, Texels};
+use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, Inputs, StepReport, Texels};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
 use effigy::synth::{SynthOptions, synthesise};
@@ -394,7 +394,7 @@ impl Start {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("checkpoint.npz");
         let Self { body, capture, camera, .. } = self;
-        (fit::run(gpu, body, capture, camera, config, state, &path, &mut patient), patient)
+        (fit::run(gpu, &Inputs { body, capture, camera, config }, state, &path, &mut patient), patient)
     }
 }
 

@@ -45,7 +45,7 @@ impl FaceColours {
         let (gpu, n, config) = (&scene.gpu, scene.max_pixels, inputs.config);
         let faces = &inputs.body.faces;
         let lit = || LitFaces {
-            lit: Lit::new(gpu, faces, inputs.topology, scene.frames.len(), state.light),
+            lit: Lit::new(gpu, faces, &scene.topology, scene.frames.len(), state.light),
             shaded: gpu.zeros("fit/shaded_colours", state.face_colours.len()),
             grad_shaded: gpu.zeros("fit/grad_shaded_colours", state.face_colours.len()),
         };

@@ -135,7 +135,7 @@ impl Texture {
         let trusted = scene.frames.iter().map(levels);
         let zeros = |name: &str| gpu.zeros::<f32>(&format!("fit/{name}"), n * 3);
         let lit = || LitTexture {
-            lit: Lit::new(gpu, faces, inputs.topology, scene.frames.len(), state.light).standing(config.light_stands),
+            lit: Lit::new(gpu, faces, &scene.topology, scene.frames.len(), state.light).standing(config.light_stands),
             shaded_faces: gpu.zeros("fit/shaded_faces", n_faces * 3),
             parts: gpu.zeros("fit/pixel_parts", 2 * n),
             shaded: zeros("shaded"),

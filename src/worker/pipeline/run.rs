@@ -15,7 +15,7 @@ use crate::fit::covered::Covered;
 use crate::fit::detail::{Closer, Detail};
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, FocalCheck, Stage0Error, Stage0Options, Stage0Result};
-use crate::fit::{self, FitConfig, FitError, FitState, pelvis};
+use crate::fit::{self, FitConfig, FitError, FitState, Inputs, pelvis};
 use crate::gpu::Gpu;
 use crate::jobs::{JobOptions, Preset};
 use crate::quality;
@@ -69,7 +69,8 @@ pub fn run(
     let details = closer.as_ref().map_or(0, |closer| closer.steps(&config));
     monitor.expect_texture_steps(texture_steps + details);
     monitor.start(Stage::Geometry)?;
-    let fitted = fit::run(gpu, &body, &capture, &start.camera, &config, state, &checkpoint, &mut monitor);
+    let inputs = Inputs { body: &body, capture: &capture, camera: &start.camera, config: &config };
+    let fitted = fit::run(gpu, &inputs, state, &checkpoint, &mut monitor);
     let mut state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
     if let Some(skirt) = skirt {
@@ -84,7 +85,8 @@ pub fn run(
         }
         monitor.preview_from(&body, &capture, &start.camera, &config, &state_before);
         texture_steps += steps_of(&alone);
-        let fitted = fit::run(gpu, &body, &capture, &start.camera, &alone, state_before, &tailored, &mut monitor);
+        let inputs = Inputs { body: &body, capture: &capture, camera: &start.camera, config: &alone };
+        let fitted = fit::run(gpu, &inputs, state_before, &tailored, &mut monitor);
         state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
     }
     let large = match &closer {
@@ -98,10 +100,11 @@ pub fn run(
         let begun = resumed(detail.start(&state, &config), &detailed);
         monitor.go_on_with(&detailed, texture_steps);
         monitor.preview_from(&body, &capture, &start.camera, &detail.config, &begun);
-        let (pictures, camera) = (&detail.capture, &detail.camera);
+        let Detail { capture: pictures, camera, config: detailing, .. } = detail;
+        let inputs = Inputs { body: &body, capture: pictures, camera, config: detailing };
         // Sums over other pictures are no part of the same curves.
         monitor.draws_curves = false;
-        let ended = fit::run(gpu, &body, pictures, camera, &detail.config, begun, &detailed, &mut monitor);
+        let ended = fit::run(gpu, &inputs, begun, &detailed, &mut monitor);
         state = Detail::end(state, ended.map_err(|e| from_fit(e, monitor.stopped))?);
         config.field = detail.config.field;
     }

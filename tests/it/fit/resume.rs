@@ -1,6 +1,6 @@
 //! Fits that are stopped and go on.
 
-use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, StepReport};
+use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, Inputs, StepReport};
 use effigy::npz::{Npz, NpzWriter};
 use effigy::worker::pipeline::{PipelineError, Progress, Stage, StopReason};
 
@@ -160,7 +160,8 @@ fn a_fit_that_is_stopped_again_and_again_ends_as_one_that_is_not() {
         let (mut state, mut stops) = (start.state.clone(), 0);
         let ended = loop {
             let Start { body, capture, camera, .. } = &start;
-            match fit::run(&gpu, body, capture, camera, &config, state, &path, &mut Stopper::new(after)) {
+            let inputs = Inputs { body, capture, camera, config: &config };
+            match fit::run(&gpu, &inputs, state, &path, &mut Stopper::new(after)) {
                 Err(FitError::Stopped) => state = start.state.resume(&path).unwrap().unwrap(),
                 ended => break ended.unwrap(),
             }
@@ -180,8 +181,8 @@ fn a_checkpoint_without_an_optimiser_is_gone_on_from_all_the_same() {
     let (start, folder) = (Start::new(&gpu, 6), tempfile::tempdir().unwrap());
     let (config, path) = (short(FitConfig::draft(0)), folder.path().join("checkpoint.npz"));
     let Start { body, capture, camera, state } = &start;
-    let run =
-        |state: FitState, stopper: &mut Stopper| fit::run(&gpu, body, capture, camera, &config, state, &path, stopper);
+    let inputs = Inputs { body, capture, camera, config: &config };
+    let run = |state: FitState, stopper: &mut Stopper| fit::run(&gpu, &inputs, state, &path, stopper);
     assert!(matches!(run(state.clone(), &mut Stopper::new(3)), Err(FitError::Stopped)));
     let whole = Npz::open(&path).unwrap();
     let mut writer = NpzWriter::new(std::fs::File::create(&path).unwrap());
