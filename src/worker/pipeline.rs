@@ -3,6 +3,7 @@
 mod closeups;
 mod curves;
 mod export;
+mod fits;
 mod made_by;
 mod monitor;
 mod page;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use anyhow::anyhow;
 
 use super::curves::Curves;
+use super::fits::{Fits, PERSON};
 use super::made_by::begin_anew_for_others;
 use super::monitor::Monitor;
 use super::{Observer, Outcome, PipelineError, PipelineInput, Stage, StopReason, export};
@@ -15,7 +16,7 @@ use crate::fit::covered::Covered;
 use crate::fit::detail::{Closer, Detail};
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, FocalCheck, Stage0Error, Stage0Options, Stage0Result};
-use crate::fit::{self, FitConfig, FitError, FitState, Inputs, pelvis};
+use crate::fit::{FitConfig, FitState, Inputs, pelvis};
 use crate::gpu::Gpu;
 use crate::jobs::{JobOptions, Preset};
 use crate::quality;
@@ -30,8 +31,8 @@ pub fn run(
     out_dir: &Path,
     observer: &mut dyn Observer,
 ) -> Result<Outcome, PipelineError> {
-    let checkpoint = work_dir.join("checkpoint.npz");
-    let mut monitor = Monitor::new(gpu, observer, input.options.preset, &checkpoint, Curves::new(work_dir));
+    let (checkpoint, curves) = (work_dir.join(PERSON), Curves::new(work_dir));
+    let mut monitor = Monitor::new(gpu, observer, input.options.preset, &checkpoint, curves);
     let mut config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
     let body_file = data_dir.join("bodies").join(format!("{}.body.npz", input.options.body));
@@ -49,63 +50,25 @@ pub fn run(
     covered.even_out(&mut body, &start.betas);
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
-    let state = resumed(fresh, &checkpoint);
-    monitor.curves.load();
-    match state.stage {
-        fit::Stage::Geometry => monitor.curves.cut(Stage::Geometry, state.step),
-        fit::Stage::Texture => monitor.curves.cut(Stage::Texture, state.step),
-        fit::Stage::Done => {}
-    }
-    let [tailored, detailed] = ["tailored.npz", "detailed.npz"].map(|file| work_dir.join(file));
-    if state.stage != fit::Stage::Done {
-        // What lies there is of an earlier fit.
-        let _ = (std::fs::remove_file(&tailored), std::fs::remove_file(&detailed));
-    }
-    // The person's pose and shape, all grey.
-    monitor.preview_from(&body, &capture, &start.camera, &config, &state);
-    let steps_of = |config: &FitConfig| config.steps(&config.texture.phases, capture.frames.len());
-    let mut texture_steps = steps_of(&config);
     let closer = if config.detail { Closer::to(&capture) } else { None };
-    let details = closer.as_ref().map_or(0, |closer| closer.steps(&config));
-    monitor.expect_texture_steps(texture_steps + details);
-    monitor.start(Stage::Geometry)?;
-    let inputs = Inputs { body: &body, capture: &capture, camera: &start.camera, config: &config };
-    let fitted = fit::run(gpu, &inputs, state, &checkpoint, &mut monitor);
-    let mut state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
+    monitor.expect_texture_steps(closer.as_ref().map_or(0, |closer| closer.steps(&config)));
+    let (camera, mut fits) = (&start.camera, Fits::new(gpu, work_dir, &mut monitor));
+    let mut state = fits.person(&Inputs { body: &body, capture: &capture, camera, config: &config }, fresh)?;
     let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
     if let Some(skirt) = skirt {
         skirt.tailor(&mut body, &mut state);
-        (state.stage, state.step) = (fit::Stage::Texture, 0);
-        let state_before = resumed(state, &tailored);
         let alone = config.clone().texture_alone();
-        monitor.expect_texture_steps(steps_of(&alone));
-        monitor.go_on_with(&tailored, texture_steps);
-        if state_before.stage != fit::Stage::Done {
-            monitor.curves.cut(Stage::Texture, texture_steps + state_before.step);
-        }
-        monitor.preview_from(&body, &capture, &start.camera, &config, &state_before);
-        texture_steps += steps_of(&alone);
-        let inputs = Inputs { body: &body, capture: &capture, camera: &start.camera, config: &alone };
-        let fitted = fit::run(gpu, &inputs, state_before, &tailored, &mut monitor);
-        state = fitted.map_err(|e| from_fit(e, monitor.stopped))?;
+        state = fits.tailored(&Inputs { body: &body, capture: &capture, camera, config: &alone }, state)?;
     }
     let large = match &closer {
-        Some(closer) => larger_pictures(input, closer, &mut capture, &measures, &mut monitor)?,
+        Some(closer) => larger_pictures(input, closer, &mut capture, &measures, fits.monitor)?,
         None => None,
     };
-    let detail = closer
-        .zip(large)
-        .map(|(closer, large)| Detail::new(&body, &capture, &start.camera, &config, &state, &closer, large));
+    let detail =
+        closer.zip(large).map(|(closer, large)| Detail::new(&body, &capture, camera, &config, &state, &closer, large));
     if let Some(detail) = &detail {
-        let begun = resumed(detail.start(&state, &config), &detailed);
-        monitor.go_on_with(&detailed, texture_steps);
-        monitor.preview_from(&body, &capture, &start.camera, &detail.config, &begun);
-        let Detail { capture: pictures, camera, config: detailing, .. } = detail;
-        let inputs = Inputs { body: &body, capture: pictures, camera, config: detailing };
-        // Sums over other pictures are no part of the same curves.
-        monitor.draws_curves = false;
-        let ended = fit::run(gpu, &inputs, begun, &detailed, &mut monitor);
-        state = Detail::end(state, ended.map_err(|e| from_fit(e, monitor.stopped))?);
+        let before = Inputs { body: &body, capture: &capture, camera, config: &config };
+        state = fits.detailed(&before, detail, state)?;
         config.field = detail.config.field;
     }
     let mut pelvis_moved = [0.0; 3];
@@ -143,14 +106,6 @@ fn larger_pictures(
     let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * closer.gain)).collect();
     quality::settle_masks(&mut large, &offsets);
     Ok(Some(large))
-}
-
-/// A checkpoint that cannot be read is worth no more than none.
-fn resumed(fresh: FitState, checkpoint: &Path) -> FitState {
-    match checkpoint.exists() {
-        true => fresh.resume(checkpoint).ok().flatten().unwrap_or(fresh),
-        false => fresh,
-    }
 }
 
 /// Frames and pixels that a preset looks at.
@@ -235,17 +190,4 @@ fn settle_focal(
         capture.forget_focal();
     }
     Some(check)
-}
-
-fn from_fit(error: FitError, stopped: Option<StopReason>) -> PipelineError {
-    let detail = error.to_string();
-    match error {
-        FitError::Stopped => PipelineError::Stopped(stopped.unwrap_or(StopReason::Shutdown)),
-        FitError::Diverged { losses, .. } => {
-            let losses = losses.into_iter().map(|(name, value)| (name.to_owned(), value as f64)).collect();
-            PipelineError::Diverged { detail, losses }
-        }
-        FitError::Device(error) => PipelineError::Device(error),
-        other => PipelineError::Internal(other.into()),
-    }
 }

@@ -1,0 +1,117 @@
+//! The fits of a job, one after the other: of the person, of the texture on a tailored surface, of the texture's detail. Each has a
+//! checkpoint of its own and goes on from there.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::monitor::Monitor;
+use super::{PipelineError, Stage, StopReason};
+use crate::fit::detail::Detail;
+use crate::fit::{self, FitError, FitState, Inputs};
+use crate::gpu::Gpu;
+
+/// Checkpoints in a job's folder.
+pub(super) const PERSON: &str = "checkpoint.npz";
+const TAILORED: &str = "tailored.npz";
+const DETAILED: &str = "detailed.npz";
+
+pub(super) struct Fits<'a, 'm> {
+    gpu: &'a Arc<Gpu>,
+    work_dir: &'a Path,
+    pub monitor: &'a mut Monitor<'m>,
+    /// Of the fits so far.
+    texture_steps: u32,
+}
+
+impl<'a, 'm> Fits<'a, 'm> {
+    pub fn new(gpu: &'a Arc<Gpu>, work_dir: &'a Path, monitor: &'a mut Monitor<'m>) -> Self {
+        Self { gpu, work_dir, monitor, texture_steps: 0 }
+    }
+
+    /// Stages 1 and 2.
+    pub fn person(&mut self, inputs: &Inputs<'_>, fresh: FitState) -> Result<FitState, PipelineError> {
+        let checkpoint = self.work_dir.join(PERSON);
+        let state = self.resumed(inputs, fresh, &checkpoint);
+        self.monitor.curves.load();
+        match state.stage {
+            fit::Stage::Geometry => self.monitor.curves.cut(Stage::Geometry, state.step),
+            fit::Stage::Texture => self.monitor.curves.cut(Stage::Texture, state.step),
+            fit::Stage::Done => {}
+        }
+        if state.stage != fit::Stage::Done {
+            // What lies there is of an earlier fit.
+            [TAILORED, DETAILED].iter().for_each(|later| drop(std::fs::remove_file(self.work_dir.join(later))));
+        }
+        self.count_texture_steps(inputs);
+        self.monitor.start(Stage::Geometry)?;
+        self.run(inputs, state, &checkpoint)
+    }
+
+    /// The texture anew, on a surface that was tailored after `fitted` had ended.
+    pub fn tailored(&mut self, inputs: &Inputs<'_>, fitted: FitState) -> Result<FitState, PipelineError> {
+        let checkpoint = self.work_dir.join(TAILORED);
+        let fresh = FitState { stage: fit::Stage::Texture, step: 0, ..fitted };
+        let state = self.resumed(inputs, fresh, &checkpoint);
+        let before = self.texture_steps;
+        self.count_texture_steps(inputs);
+        self.monitor.go_on_with(&checkpoint, before);
+        if state.stage != fit::Stage::Done {
+            self.monitor.curves.cut(Stage::Texture, before + state.step);
+        }
+        self.run(inputs, state, &checkpoint)
+    }
+
+    /// The texture of `fitted` on, whose fit had the inputs `before`. Its steps are expected since before the pictures were read.
+    pub fn detailed(
+        &mut self,
+        before: &Inputs<'_>,
+        detail: &Detail,
+        fitted: FitState,
+    ) -> Result<FitState, PipelineError> {
+        let checkpoint = self.work_dir.join(DETAILED);
+        // Drawn is the whole person still: the first of the detail's pictures may be of a head.
+        let whole = Inputs { config: &detail.config, ..*before };
+        let state = self.resumed(&whole, detail.start(&fitted, before.config), &checkpoint);
+        self.monitor.go_on_with(&checkpoint, self.texture_steps);
+        // Sums over other pictures are no part of the same curves.
+        self.monitor.draws_curves = false;
+        let inputs = Inputs { capture: &detail.capture, camera: &detail.camera, ..whole };
+        Ok(Detail::end(fitted, self.run(&inputs, state, &checkpoint)?))
+    }
+
+    /// Where the fit goes on from, and a picture of it.
+    fn resumed(&mut self, inputs: &Inputs<'_>, fresh: FitState, checkpoint: &Path) -> FitState {
+        let state = match checkpoint.exists() {
+            // A checkpoint that cannot be read is worth no more than none.
+            true => fresh.resume(checkpoint).ok().flatten().unwrap_or(fresh),
+            false => fresh,
+        };
+        let Inputs { body, capture, camera, config } = *inputs;
+        self.monitor.preview_from(body, capture, camera, config, &state);
+        state
+    }
+
+    fn count_texture_steps(&mut self, inputs: &Inputs<'_>) {
+        let steps = inputs.config.steps(&inputs.config.texture.phases, inputs.capture.frames.len());
+        self.monitor.expect_texture_steps(steps);
+        self.texture_steps += steps;
+    }
+
+    fn run(&mut self, inputs: &Inputs<'_>, state: FitState, checkpoint: &Path) -> Result<FitState, PipelineError> {
+        let ended = fit::run(self.gpu, inputs, state, checkpoint, self.monitor);
+        ended.map_err(|error| from_fit(error, self.monitor.stopped))
+    }
+}
+
+fn from_fit(error: FitError, stopped: Option<StopReason>) -> PipelineError {
+    let detail = error.to_string();
+    match error {
+        FitError::Stopped => PipelineError::Stopped(stopped.unwrap_or(StopReason::Shutdown)),
+        FitError::Diverged { losses, .. } => {
+            let losses = losses.into_iter().map(|(name, value)| (name.to_owned(), value as f64)).collect();
+            PipelineError::Diverged { detail, losses }
+        }
+        FitError::Device(error) => PipelineError::Device(error),
+        other => PipelineError::Internal(other.into()),
+    }
+}
