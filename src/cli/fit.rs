@@ -7,7 +7,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Context, anyhow, bail};
 use effigy::capture::CaptureInputs;
 use effigy::data_dir::data_dir;
-use effigy::fingerprint::Fingerprint;
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
 use effigy::worker::pipeline::{self, Observer, PipelineInput, Progress, StopReason};
@@ -68,7 +67,6 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let input = input_of(&args)?;
     let work = args.out.join("work");
     let gpu = Gpu::open(&DeviceSelect::Auto)?;
-    begin_anew_for_others(&work, &input)?;
     let stopped = stop_on_ctrl_c();
     let mut observer = Follower { bar: bar(args.json), json: args.json, stopped };
     let outcome = pipeline::run(&gpu, &input, &data_dir(), &work, &args.out, &mut observer)?;
@@ -88,26 +86,6 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         println!("{}\n{:#}", args.out.join("avatar.glb").display(), outcome.metrics);
     }
     Ok(())
-}
-
-/// Leaves `work` to go on from only where this very program has made it of these inputs and options, and otherwise empty.
-fn begin_anew_for_others(work: &Path, input: &PipelineInput) -> anyhow::Result<()> {
-    let mut made_of = Fingerprint::of_program()?.with_text(&serde_json::to_string(&input.options)?);
-    let files = &input.files;
-    for part in [&files.video, &files.masks, &files.keypoints].into_iter().chain(&files.camera).chain(&files.poses) {
-        made_of = made_of.with_file(part).with_context(|| part.display().to_string())?;
-    }
-    let made_of = made_of.with_body(&input.options.body)?.digits();
-    let mark = work.join("made-of");
-    if std::fs::read_to_string(&mark).is_ok_and(|mark| mark == made_of) {
-        return Ok(());
-    }
-    if work.exists() {
-        eprintln!("{} is of other files, options or another program: the fit begins anew", work.display());
-        std::fs::remove_dir_all(work).with_context(|| work.display().to_string())?;
-    }
-    std::fs::create_dir_all(work).with_context(|| work.display().to_string())?;
-    Ok(std::fs::write(mark, made_of)?)
 }
 
 fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
@@ -214,6 +192,11 @@ impl Observer for Follower {
         self.bar.set_message(format!("{left}{}", losses.join("  ")));
     }
 
+    fn begins_anew(&mut self) {
+        self.bar
+            .suspend(|| eprintln!("what lay there is of other files, options or another program: the fit begins anew"));
+    }
+
     fn stop(&mut self) -> Option<StopReason> {
         self.stopped.load(Ordering::Relaxed).then_some(StopReason::Shutdown)
     }
@@ -238,36 +221,5 @@ mod tests {
             "options: body is \"v1.1.0\", expected 1 to 64 letters, digits, hyphens or underscores"
         );
         assert_eq!(error(["fit", "--texture-px", "7"]), "options: texture_px is 7, expected 2048 or 4096");
-    }
-
-    #[test]
-    fn a_checkpoint_of_another_clip_is_not_gone_on_from() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = |name: &str| folder.path().join(name);
-        ["video", "masks", "keypoints"].iter().for_each(|name| std::fs::write(file(name), name).unwrap());
-        let files = CaptureInputs {
-            video: file("video"),
-            masks: file("masks"),
-            keypoints: file("keypoints"),
-            camera: None,
-            poses: None,
-        };
-        let mut input = PipelineInput { files, options: JobOptions::default() };
-        let work = file("work");
-        // As an older version left it.
-        std::fs::create_dir(&work).unwrap();
-        std::fs::write(work.join("checkpoint.npz"), "").unwrap();
-        let goes_on = |input: &PipelineInput| {
-            begin_anew_for_others(&work, input).unwrap();
-            let goes_on = work.join("checkpoint.npz").exists();
-            std::fs::write(work.join("checkpoint.npz"), "").unwrap();
-            goes_on
-        };
-        assert!(!goes_on(&input));
-        assert!(goes_on(&input));
-        input.options.height_m = Some(1.7);
-        assert!(!goes_on(&input) && goes_on(&input));
-        std::fs::write(file("masks"), "MASKS").unwrap();
-        assert!(!goes_on(&input) && goes_on(&input));
     }
 }

@@ -97,6 +97,9 @@ pub enum StopReason {
 pub trait Observer {
     fn progress(&mut self, progress: &Progress);
 
+    /// There was a checkpoint, but of another program, clip, body or options: the run begins anew.
+    fn begins_anew(&mut self) {}
+
     /// The checkpoint on the disk now holds so much of the whole job, 0 to 1, but for a step.
     fn saved(&mut self, _progress: f32) {}
 

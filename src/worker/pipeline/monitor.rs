@@ -116,6 +116,12 @@ impl<'a> Monitor<'a> {
         }
     }
 
+    /// What lay there to go on from was made by another program or of something else, and is gone.
+    pub(super) fn begin_anew(&mut self) {
+        tracing::info!("the checkpoint is of another program, clip, body or options: the fit begins anew");
+        self.observer.begins_anew();
+    }
+
     pub(super) fn end(&mut self) {
         self.secs = self.spent();
         self.stage_started = Instant::now();

@@ -36,7 +36,9 @@ pub fn run(
     let mut config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
     let body_file = data_dir.join("bodies").join(format!("{}.body.npz", input.options.body));
-    begin_anew_for_others(work_dir, &body_file, &input.options).map_err(anyhow::Error::from)?;
+    if begin_anew_for_others(work_dir, input, &body_file).map_err(anyhow::Error::from)? {
+        monitor.begin_anew();
+    }
     let mut body = load_body(&body_file, &input.options.body)?;
     let mut capture = load_capture(input, &mut monitor)?;
     // Of the detections as they were given: what follows reads them anew.
