@@ -3,6 +3,7 @@
 // What wgpu's handles are made of is nested deeper than the compiler follows by default when it proves them `Send`.
 #![recursion_limit = "256"]
 
+pub mod atomic_file;
 pub mod avatar;
 pub mod bench;
 pub mod body;

@@ -46,16 +46,6 @@ impl Array {
     }
 }
 
-/// A temporary file beside `path`, to take its place once it is whole. Temporary files are private by default; this one others may
-/// read, as far as the umask lets them.
-pub fn in_place_of(path: &std::path::Path) -> std::io::Result<tempfile::NamedTempFile> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(std::path::Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.tempfile_in(folder)
-}
-
 /// The arrays of an archive. Entries that are not numeric arrays (strings, objects) are kept as names with reasons.
 #[derive(Clone, Debug, Default)]
 pub struct Npz {

@@ -1,13 +1,14 @@
 //! The avatar and its file.
 
-use std::io::{BufReader, BufWriter, Cursor, Read, Seek, Write};
+use std::io::{BufReader, Cursor, Read, Seek, Write};
 use std::path::Path;
 
 use super::ply::Mesh;
 use super::pose::Pose;
+use crate::atomic_file;
 use crate::body::{Body, BodyError};
 use crate::camera::Camera;
-use crate::npz::{self, Npz, NpzError, NpzWriter};
+use crate::npz::{Npz, NpzError, NpzWriter};
 use crate::ops::light::Light;
 use crate::ops::skinning::cpu::{Posed, forward};
 use crate::ops::texture_field::{TextureFieldConfig, TextureFieldError, TextureFieldParams};
@@ -175,11 +176,7 @@ impl AvatarModel {
 
     /// Writes the avatar so that `path` holds either what it held before or the whole new file.
     pub fn save(&self, path: &Path) -> Result<(), ModelError> {
-        let mut file = npz::in_place_of(path)?;
-        self.write(BufWriter::new(file.as_file_mut()))?;
-        file.as_file().sync_all()?;
-        file.persist(path).map_err(|e| e.error)?;
-        Ok(())
+        atomic_file::replace(path, |writer| self.write(writer))
     }
 
     /// As [`AvatarModel::save`], to any writer.

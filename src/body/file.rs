@@ -8,7 +8,8 @@ use std::path::Path;
 
 use super::check::InvalidBody;
 use super::{Body, KeypointSet, N_INFLUENCES, N_JOINTS};
-use crate::npz::{self, Array, Npz, NpzError, NpzWriter};
+use crate::atomic_file;
+use crate::npz::{Array, Npz, NpzError, NpzWriter};
 
 /// Grows with every change that an older reader would misread.
 const FORMAT_VERSION: u32 = 1;
@@ -99,11 +100,7 @@ impl Body {
     pub fn save(&self, path: &Path) -> Result<(), BodyError> {
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         std::fs::create_dir_all(folder)?;
-        let mut file = npz::in_place_of(path)?;
-        self.write(std::io::BufWriter::new(file.as_file_mut()))?;
-        file.as_file().sync_all()?;
-        file.persist(path).map_err(|e| e.error)?;
-        Ok(())
+        atomic_file::replace(path, |writer| self.write(writer))
     }
 
     /// As [`Body::save`], into an archive inside something else.

@@ -7,9 +7,10 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use effigy::atomic_file;
 use effigy::jobs::sqlite::backup::{self, Kept};
 use effigy::jobs::{Env, State};
-use effigy::storage::{Copied, How, Published, Store, write_atomic};
+use effigy::storage::{Copied, How, Published, Store};
 use serde::{Deserialize, Serialize};
 use uuid::Uuid;
 
@@ -78,7 +79,7 @@ pub async fn run(args: BackupArgs) -> Result<()> {
         files: copied.files,
         bytes: copied.bytes,
     };
-    write_atomic(&copy.root().join(MANIFEST), serde_json::to_string_pretty(&manifest)?.as_bytes())?;
+    atomic_file::write(&copy.root().join(MANIFEST), serde_json::to_string_pretty(&manifest)?.as_bytes())?;
     println!("{} jobs, {} files, {} bytes in {}", jobs, copied.files, copied.bytes, copy.root().display());
     Ok(())
 }
@@ -123,7 +124,7 @@ pub async fn restore(args: RestoreArgs) -> Result<()> {
         copied += from.copy_job(&to, job.id, job.results.as_ref().map(|(epoch, _)| *epoch), How::Copy)?;
     }
     // The database comes last: a restore that was interrupted can be begun again.
-    write_atomic(&to.database(), &std::fs::read(from.database())?)?;
+    atomic_file::write(&to.database(), &std::fs::read(from.database())?)?;
     let Copied { files, bytes } = copied;
     println!(
         "{} jobs, {files} files, {bytes} bytes in {}, as of {}",

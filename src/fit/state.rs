@@ -1,8 +1,10 @@
 //! What is being fitted, on the host: the start of each stage, the checkpoint, the result.
 
+use std::io::{Seek, Write};
 use std::path::Path;
 
 use super::kept::Arrays;
+use crate::atomic_file;
 use crate::body::Body;
 use crate::npz::{Npz, NpzError, NpzWriter};
 use crate::ops::light::Light;
@@ -161,9 +163,10 @@ impl FitState {
 
     /// Writes the state; the file appears whole or not at all.
     pub fn save(&self, path: &Path) -> Result<(), NpzError> {
-        let folder = path.parent().unwrap_or(Path::new("."));
-        let file = tempfile::NamedTempFile::new_in(folder)?;
-        let mut npz = NpzWriter::stored(std::io::BufWriter::new(file));
+        atomic_file::replace(path, |writer| self.write(NpzWriter::stored(writer)))
+    }
+
+    fn write(&self, mut npz: NpzWriter<impl Write + Seek>) -> Result<(), NpzError> {
         let stage = match self.stage {
             Stage::Geometry => 1,
             Stage::Texture => 2,
@@ -185,9 +188,7 @@ impl FitState {
                 npz.add(&format!("{KEPT}{name}"), &[data.len()], data)?;
             }
         }
-        let file = npz.finish()?.into_inner().map_err(|e| e.into_error())?;
-        file.as_file().sync_all()?;
-        file.persist(path).map_err(|e| NpzError::Io(e.error))?;
+        npz.finish()?;
         Ok(())
     }
 

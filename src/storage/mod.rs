@@ -31,8 +31,10 @@ use std::path::{Path, PathBuf};
 
 use uuid::Uuid;
 
+use crate::atomic_file::sync_dir;
+
 pub use backup::{Copied, How};
-pub use publish::{Published, write_atomic};
+pub use publish::Published;
 pub use resumable::{AboutUpload, Appender, ResumableUpload};
 pub use serve::{ByteRange, open_range, parse_range};
 pub use upload::{PartWriter, Upload};
@@ -212,12 +214,6 @@ fn remove_dir(path: &Path) -> io::Result<()> {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),
     }
-}
-
-/// Makes renames inside a folder durable.
-fn sync_dir(folder: &Path) -> io::Result<()> {
-    // Windows cannot open a folder as a file, and needs no flush for it.
-    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
 #[cfg(test)]

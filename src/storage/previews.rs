@@ -7,7 +7,8 @@ use std::path::PathBuf;
 
 use uuid::Uuid;
 
-use super::{Store, names, write_atomic};
+use super::{Store, names};
+use crate::atomic_file;
 
 impl Store {
     pub fn previews(&self, job: Uuid) -> PathBuf {
@@ -26,7 +27,7 @@ impl Store {
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
             _ => {}
         }
-        write_atomic(&folder.join(name), jpeg)
+        atomic_file::write(&folder.join(name), jpeg)
     }
 
     /// Removes the pictures before the named one.

@@ -1,12 +1,12 @@
 //! Files on their way to being results.
 
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::path::Path;
 
 use sha2::{Digest, Sha256};
 
-use super::sync_dir;
+use crate::atomic_file::sync_dir;
 
 /// A result file, flushed to the disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -15,16 +15,6 @@ pub struct Published {
     pub bytes: u64,
     /// Lower-case hex.
     pub sha256: String,
-}
-
-/// Writes a file so that a reader, also after a crash, finds the old content or the new one whole.
-pub fn write_atomic(path: &Path, content: &[u8]) -> io::Result<()> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(folder)?;
-    file.write_all(content)?;
-    file.as_file().sync_all()?;
-    file.persist(path).map_err(|e| e.error)?;
-    sync_dir(folder)
 }
 
 impl Published {

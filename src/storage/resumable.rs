@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 use tokio::io::{AsyncSeekExt, AsyncWriteExt, BufWriter};
 use uuid::Uuid;
 
-use super::{Store, names, sync_dir, write_atomic};
+use super::{Store, names};
+use crate::atomic_file::{self, sync_dir};
 
 const BUFFER_BYTES: usize = 1 << 20;
 /// The disk is asked for room before each such stretch.
@@ -68,7 +69,7 @@ impl Store {
     pub fn begin_resumable(&self, id: Uuid, about: &AboutUpload) -> io::Result<()> {
         let making = self.tmp().join(format!("resumable-{id}"));
         fs::create_dir(&making)?;
-        write_atomic(&making.join("about.json"), &serde_json::to_vec(about)?)?;
+        atomic_file::write(&making.join("about.json"), &serde_json::to_vec(about)?)?;
         fs::File::create_new(making.join("data"))?.sync_all()?;
         sync_dir(&making)?;
         fs::rename(&making, self.resumable_folder(id))?;
@@ -164,7 +165,7 @@ impl Store {
 }
 
 fn mark_unverified(folder: &Path, offset: u64) -> io::Result<()> {
-    write_atomic(&folder.join("unverified"), offset.to_string().as_bytes())
+    atomic_file::write(&folder.join("unverified"), offset.to_string().as_bytes())
 }
 
 fn cut_unverified(folder: &Path) -> io::Result<()> {

@@ -1,4 +1,5 @@
 use super::*;
+use crate::atomic_file;
 
 fn store() -> (tempfile::TempDir, Store) {
     let folder = tempfile::tempdir().unwrap();
@@ -68,8 +69,8 @@ fn tidying_keeps_the_published_epoch() {
 #[test]
 fn sealing_hashes_what_is_published() {
     let folder = tempfile::tempdir().unwrap();
-    write_atomic(&folder.path().join("b.txt"), b"abc").unwrap();
-    write_atomic(&folder.path().join("a.txt"), b"").unwrap();
+    atomic_file::write(&folder.path().join("b.txt"), b"abc").unwrap();
+    atomic_file::write(&folder.path().join("a.txt"), b"").unwrap();
     fs::write(folder.path().join(".part"), b"half").unwrap();
     let sealed = Published::seal(folder.path()).unwrap();
     assert_eq!(sealed.iter().map(|f| (f.name.as_str(), f.bytes)).collect::<Vec<_>>(), [("a.txt", 0), ("b.txt", 3)]);

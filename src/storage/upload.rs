@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use tokio::io::{AsyncWriteExt, BufWriter};
 
 use super::Store;
+use crate::atomic_file::sync_dir;
 
 /// Large writes: each costs a hop to a blocking thread.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -43,7 +44,7 @@ impl Upload {
     }
 
     pub(super) fn move_to(mut self, to: &Path) -> io::Result<()> {
-        super::sync_dir(&self.folder)?;
+        sync_dir(&self.folder)?;
         fs::rename(&self.folder, to)?;
         self.committed = true;
         Ok(())

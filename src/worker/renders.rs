@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::SystemTime;
 
+use crate::atomic_file;
 use crate::avatar::{self, AvatarModel, Place, RenderSpec, Renderer, ply};
 use crate::gpu::Gpu;
 use crate::jobs::render::{self, Background, ImageRequest, Light, PoseSource, RenderError, RenderRequest, What};
-use crate::storage::write_atomic;
 
 /// Models that stay on the device: clients tend to ask for many pictures of one avatar.
 const KEPT: usize = 2;
@@ -42,7 +42,7 @@ impl Draughtsman {
     pub fn draw(&mut self, gpu: &Arc<Gpu>, request: &RenderRequest, to: &Path) -> Result<(), RenderError> {
         let drawn = gpu.apart(|| self.content(gpu, request));
         let content = drawn.inspect_err(|_| self.forget()).map_err(failed)??;
-        write_atomic(to, &content).map_err(failed)
+        atomic_file::write(to, &content).map_err(failed)
     }
 
     fn content(&mut self, gpu: &Arc<Gpu>, request: &RenderRequest) -> Result<Vec<u8>, RenderError> {

@@ -74,7 +74,7 @@ impl Curves {
         }
         let kept = Kept { points: self.points.clone(), secs: self.whole(secs) };
         let json = serde_json::to_vec(&kept).expect("numbers and names");
-        if let Err(error) = crate::storage::write_atomic(&self.file, &json) {
+        if let Err(error) = crate::atomic_file::write(&self.file, &json) {
             tracing::warn!(%error, "the losses are not kept");
         }
     }

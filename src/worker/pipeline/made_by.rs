@@ -38,7 +38,7 @@ pub(super) fn begin_anew_for_others(work_dir: &Path, input: &PipelineInput, body
             Err(error) => return Err(error),
         }
     }
-    crate::storage::write_atomic(&mark, made_by.as_bytes())?;
+    crate::atomic_file::write(&mark, made_by.as_bytes())?;
     Ok(thrown_away)
 }
 

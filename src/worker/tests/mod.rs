@@ -17,7 +17,7 @@ use super::*;
 use crate::jobs::render::{RenderError, RenderRequest};
 use crate::jobs::sqlite::SqliteQueue;
 use crate::jobs::{Clip, Env, Job, JobOptions, NewJob, Part, Policy, Queue, State};
-use crate::storage::{Store, write_atomic};
+use crate::storage::Store;
 
 /// What a fit does, step by step, and a word to the test at each.
 type Script = Arc<dyn Fn(&FitTask, &mut dyn Observer) -> Result<Outcome, PipelineError> + Send + Sync>;
@@ -30,7 +30,8 @@ impl Engine for ScriptedEngine {
     }
 
     fn draw(&mut self, request: &RenderRequest, to: &Path) -> Result<(), RenderError> {
-        write_atomic(to, format!("{:?}", request.what).as_bytes()).map_err(|e| RenderError::Failed(e.to_string()))
+        crate::atomic_file::write(to, format!("{:?}", request.what).as_bytes())
+            .map_err(|e| RenderError::Failed(e.to_string()))
     }
 }
 

@@ -67,7 +67,7 @@ impl Engine for ScriptedEngine {
             };
             observer.progress(&told);
             if script.save_every > 0 && done % script.save_every == 0 {
-                effigy::storage::write_atomic(&checkpoint, done.to_string().as_bytes()).unwrap();
+                effigy::atomic_file::write(&checkpoint, done.to_string().as_bytes()).unwrap();
                 observer.saved(progress);
                 saved = progress;
             }
