@@ -1,5 +1,6 @@
 //! The fit of a body and its looks to a clip (paper §3): stage 0 on the CPU finds poses and shape from keypoints and
-//! masks, stage 1 on the device fits geometry with one colour a face, stage 2 the hash texture.
+//! masks, stage 1 on the device fits geometry with one colour a face, stage 2 the hash texture and, where the
+//! configuration has it so, the geometry through it.
 
 pub mod config;
 mod control;

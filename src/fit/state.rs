@@ -18,7 +18,7 @@ const VERSION: f64 = 4.0;
 pub enum Stage {
     /// β, D, θ, R, t and one colour a face.
     Geometry,
-    /// Hash texture, θ, R, t.
+    /// Hash texture, and β, D, θ, R, t through it; in `paper` θ, R, t alone.
     Texture,
     Done,
 }
@@ -109,15 +109,48 @@ impl Begun {
         let Self { betas, offsets, poses, transl, light } = self;
         FitState { betas, offsets, poses, transl, light, ..state }
     }
+}
 
-    fn arrays(&self) -> [(&'static str, &Vec<f32>); 4] {
-        [
-            ("begun_betas", &self.betas),
-            ("begun_offsets", &self.offsets),
-            ("begun_poses", &self.poses),
-            ("begun_transl", &self.transl),
+/// The arrays of a state by their names in a checkpoint, to read or, with `mut`, to put back: one list for both ways, so that none forgets
+/// a part.
+macro_rules! arrays_of {
+    ($state:expr $(, $mutable:tt)?) => {{
+        let state: & $($mutable)? FitState = $state;
+        let mut arrays = vec![
+            ("betas", & $($mutable)? state.betas),
+            ("offsets", & $($mutable)? state.offsets),
+            ("poses", & $($mutable)? state.poses),
+            ("stage_poses", & $($mutable)? state.stage_poses),
+            ("transl", & $($mutable)? state.transl),
+            ("stage_transl", & $($mutable)? state.stage_transl),
+            ("face_colours", & $($mutable)? state.face_colours),
+            ("texcoords", & $($mutable)? state.texcoords),
+            ("field_table", & $($mutable)? state.field.table),
+            ("field_w0", & $($mutable)? state.field.w0),
+            ("field_w1", & $($mutable)? state.field.w1),
+            ("field_w2", & $($mutable)? state.field.w2),
+        ];
+        if let Some(texels) = & $($mutable)? state.texels {
+            arrays.push(("texels", & $($mutable)? texels.values));
+        }
+        if !state.run_transl.is_empty() {
+            arrays.push(("run_transl", & $($mutable)? state.run_transl));
+        }
+        arrays
+    }};
+}
+
+/// As [`arrays_of`], of a [`Begun`].
+macro_rules! begun_arrays_of {
+    ($begun:expr $(, $mutable:tt)?) => {{
+        let begun: & $($mutable)? Begun = $begun;
+        vec![
+            ("begun_betas", & $($mutable)? begun.betas),
+            ("begun_offsets", & $($mutable)? begun.offsets),
+            ("begun_poses", & $($mutable)? begun.poses),
+            ("begun_transl", & $($mutable)? begun.transl),
         ]
-    }
+    }};
 }
 
 /// Before the names of what a stage keeps, in a checkpoint.
@@ -158,7 +191,7 @@ impl FitState {
 
     /// False where a parameter has become infinite or NaN.
     pub fn is_finite(&self) -> bool {
-        self.light.is_sound() && self.arrays().iter().all(|(_, values)| values.iter().all(|x| x.is_finite()))
+        self.light.is_sound() && arrays_of!(self).iter().all(|(_, values)| values.iter().all(|x| x.is_finite()))
     }
 
     /// Writes the state; the file appears whole or not at all.
@@ -176,12 +209,12 @@ impl FitState {
         npz.add("stage", &[], &[stage])?;
         npz.add("step", &[], &[self.step])?;
         npz.add("light", &[LIGHT], &light_numbers(&self.light))?;
-        for (name, data) in self.arrays() {
+        for (name, data) in arrays_of!(self) {
             npz.add(name, &[data.len()], data)?;
         }
         if let Some(Progress { begun, kept }) = &self.progress {
             npz.add("begun_light", &[LIGHT], &light_numbers(&begun.light))?;
-            for (name, data) in begun.arrays() {
+            for (name, data) in begun_arrays_of!(begun) {
                 npz.add(name, &[data.len()], data)?;
             }
             for (name, data) in kept {
@@ -190,26 +223,6 @@ impl FitState {
         }
         npz.finish()?;
         Ok(())
-    }
-
-    fn arrays(&self) -> Vec<(&'static str, &Vec<f32>)> {
-        let mut arrays = vec![
-            ("betas", &self.betas),
-            ("offsets", &self.offsets),
-            ("poses", &self.poses),
-            ("stage_poses", &self.stage_poses),
-            ("transl", &self.transl),
-            ("stage_transl", &self.stage_transl),
-            ("face_colours", &self.face_colours),
-            ("texcoords", &self.texcoords),
-            ("field_table", &self.field.table),
-            ("field_w0", &self.field.w0),
-            ("field_w1", &self.field.w1),
-            ("field_w2", &self.field.w2),
-        ];
-        arrays.extend(self.texels.as_ref().map(|texels| ("texels", &texels.values)));
-        arrays.extend((!self.run_transl.is_empty()).then_some(("run_transl", &self.run_transl)));
-        arrays
     }
 
     /// Reads a checkpoint into a state of the same shapes. `None` where it belongs to another fit: another number of
@@ -228,38 +241,22 @@ impl FitState {
         state.step = npz.scalar("step")? as u32;
         state.light = light_in(&npz, "light")?;
         let mut whole = true;
-        let mut take = |name: &str, into: &mut Vec<f32>| -> Result<(), NpzError> {
-            let array = npz.get(name)?.f32();
-            whole &= array.len() == into.len() && array.iter().all(|x| x.is_finite());
-            *into = array;
+        let mut take = |arrays: Vec<(&str, &mut Vec<f32>)>| -> Result<(), NpzError> {
+            for (name, into) in arrays {
+                let array = npz.get(name)?.f32();
+                whole &= array.len() == into.len() && array.iter().all(|x| x.is_finite());
+                *into = array;
+            }
             Ok(())
         };
-        take("betas", &mut state.betas)?;
-        take("offsets", &mut state.offsets)?;
-        take("poses", &mut state.poses)?;
-        take("stage_poses", &mut state.stage_poses)?;
-        take("transl", &mut state.transl)?;
-        take("stage_transl", &mut state.stage_transl)?;
         if npz.arrays.contains_key("run_transl") {
-            state.run_transl = state.transl.clone();
-            take("run_transl", &mut state.run_transl)?;
+            state.run_transl.clone_from(&state.transl);
         }
-        take("face_colours", &mut state.face_colours)?;
-        take("texcoords", &mut state.texcoords)?;
-        take("field_table", &mut state.field.table)?;
-        take("field_w0", &mut state.field.w0)?;
-        take("field_w1", &mut state.field.w1)?;
-        take("field_w2", &mut state.field.w2)?;
-        if let Some(texels) = &mut state.texels {
-            take("texels", &mut texels.values)?;
-        }
+        take(arrays_of!(&mut state, mut))?;
         if npz.arrays.contains_key("begun_light") {
             let mut begun = Begun::of(&state);
             begun.light = light_in(&npz, "begun_light")?;
-            take("begun_betas", &mut begun.betas)?;
-            take("begun_offsets", &mut begun.offsets)?;
-            take("begun_poses", &mut begun.poses)?;
-            take("begun_transl", &mut begun.transl)?;
+            take(begun_arrays_of!(&mut begun, mut))?;
             let named = npz.arrays.iter().filter_map(|(name, array)| Some((name.strip_prefix(KEPT)?, array)));
             let kept: Arrays = named.map(|(name, array)| (name.to_owned(), array.f32())).collect();
             whole &= begun.light.is_sound() && kept.values().flatten().all(|x| x.is_finite());
