@@ -6,7 +6,7 @@ use std::path::Path;
 use super::ply::Mesh;
 use super::pose::Pose;
 use crate::atomic_file;
-use crate::body::{Body, BodyError};
+use crate::body::{Body, BodyError, N_POSE};
 use crate::camera::Camera;
 use crate::npz::{Npz, NpzError, NpzWriter};
 use crate::ops::light::Light;
@@ -202,7 +202,7 @@ impl AvatarModel {
         npz.add("offsets", &[v, 3], self.offsets.as_flattened())?;
         npz.add("texcoords", &[v, 3], self.texcoords.as_flattened())?;
         npz.add("face_colours", &[f, 3], self.face_colours.as_flattened())?;
-        npz.add("poses", &[n, 72], self.poses.as_flattened())?;
+        npz.add("poses", &[n, N_POSE], self.poses.as_flattened())?;
         npz.add("transl", &[n, 3], self.transl.as_flattened())?;
         npz.add("frames", &[n], &self.frames)?;
         let t = &self.texture;

@@ -3,6 +3,7 @@
 use std::io::{Seek, Write};
 
 use super::AvatarModel;
+use crate::body::N_POSE;
 use crate::npz::{NpzError, NpzWriter};
 
 /// Writes `poses [N, 72]`, `trans [N, 3]` (SMPL's `transl`, of the model that the avatar's body was made of), `pelvis [N, 3]` (where the
@@ -12,7 +13,7 @@ use crate::npz::{NpzError, NpzWriter};
 pub fn write_motion<W: Write + Seek>(model: &AvatarModel, out: W) -> Result<W, NpzError> {
     let n = model.poses.len();
     let mut npz = NpzWriter::new(out);
-    npz.add("poses", &[n, 72], model.poses.as_flattened())?;
+    npz.add("poses", &[n, N_POSE], model.poses.as_flattened())?;
     // A body turns about its pelvis: about another one it lies as it did at another place.
     let moved = glam::Vec3::from(model.pelvis_moved);
     let frames = || model.poses.iter().zip(&model.transl).map(|(pose, transl)| (pose, glam::Vec3::from(*transl)));
@@ -53,7 +54,7 @@ mod tests {
         let model = crate::avatar::testing::turning_avatar();
         let npz = Npz::read(write_motion(&model, Cursor::new(Vec::new())).unwrap(), 1 << 20).unwrap();
         let n = model.poses.len();
-        assert_eq!(npz.shaped("poses", &[n, 72]).unwrap().f32(), model.poses.as_flattened());
+        assert_eq!(npz.shaped("poses", &[n, N_POSE]).unwrap().f32(), model.poses.as_flattened());
         // The body that the avatar's was made of, with its own pelvis, lies where the avatar's does.
         let mut body = model.body.clone();
         (0..3).for_each(|k| body.j_template[0][k] -= model.pelvis_moved[k]);

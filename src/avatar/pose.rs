@@ -2,10 +2,10 @@
 
 use glam::{Quat, Vec3};
 
-use crate::body::N_JOINTS;
+use crate::body::N_POSE;
 
 /// A body's pose: axis-angle of the 24 joints, joint 0 the global orientation.
-pub type Pose = [f32; 3 * N_JOINTS];
+pub type Pose = [f32; N_POSE];
 
 /// The rotation of joint `j`, relative to its parent.
 pub(super) fn joint_rotation(pose: &Pose, j: usize) -> Quat {

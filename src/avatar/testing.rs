@@ -1,7 +1,8 @@
 //! A made avatar for tests: the test body, turning, with a random texture.
 
 use super::AvatarModel;
-use crate::body::Body;
+use crate::body::joints::{LEFT_ELBOW, LEFT_KNEE, LEFT_SHOULDER, RIGHT_SHOULDER};
+use crate::body::{Body, N_POSE};
 use crate::camera::Camera;
 use crate::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
 
@@ -20,14 +21,14 @@ pub(crate) fn turning_avatar() -> AvatarModel {
     texture.table.iter_mut().for_each(|x| *x *= 1e4);
     let n = 5;
     let poses = (0..n).map(|i| {
-        let mut pose = [0.0; 72];
+        let mut pose = [0.0; N_POSE];
         // Half a turn about x (camera space runs down) after the turn about the body's own y.
         let turn = glam::Quat::from_rotation_x(std::f32::consts::PI) * glam::Quat::from_rotation_y(1.3 * i as f32);
         pose[..3].copy_from_slice(&turn.to_scaled_axis().to_array());
-        pose[16 * 3 + 2] = -1.0 + 0.1 * i as f32;
-        pose[17 * 3 + 2] = 1.0;
-        pose[18 * 3 + 1] = -0.2 * i as f32;
-        pose[4 * 3] = 0.3 * i as f32;
+        pose[3 * LEFT_SHOULDER + 2] = -1.0 + 0.1 * i as f32;
+        pose[3 * RIGHT_SHOULDER + 2] = 1.0;
+        pose[3 * LEFT_ELBOW + 1] = -0.2 * i as f32;
+        pose[3 * LEFT_KNEE] = 0.3 * i as f32;
         pose
     });
     AvatarModel {

@@ -6,7 +6,7 @@ use super::Case;
 use super::person::{Person, extent};
 use super::scale::{Counts, Scale, count_fragments};
 use crate::avatar::RenderError;
-use crate::body::{Body, N_JOINTS};
+use crate::body::{Body, N_JOINTS, N_POSE};
 use crate::camera::Camera;
 use crate::fit::FitConfig;
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
@@ -251,7 +251,7 @@ fn gradients(gpu: &Gpu, body: &Body, n_pixels: usize) -> Gradients {
     Gradients {
         vertices: ones("vertices", 3 * v),
         joints: ones("joints", 3 * N_JOINTS),
-        poses: ones("poses", 3 * N_JOINTS),
+        poses: ones("poses", N_POSE),
         transl: ones("transl", 3),
         betas: ones("betas", body.n_betas),
         offsets: ones("offsets", 3 * v),

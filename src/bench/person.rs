@@ -3,7 +3,8 @@
 
 use std::f32::consts::PI;
 
-use crate::body::{Body, N_JOINTS};
+use crate::body::joints::{LEFT_SHOULDER, RIGHT_SHOULDER};
+use crate::body::{Body, N_POSE};
 use crate::camera::Camera;
 use crate::ops::skinning::cpu::forward;
 
@@ -11,16 +12,16 @@ const DISTANCE_M: f32 = 3.0;
 
 pub struct Person {
     pub camera: Camera,
-    pub pose: [f32; 3 * N_JOINTS],
+    pub pose: [f32; N_POSE],
     pub transl: [f32; 3],
 }
 
 impl Person {
     pub fn new(body: &Body, size: u32) -> Self {
-        let mut pose = [0.0; 3 * N_JOINTS];
+        let mut pose = [0.0; N_POSE];
         // Half a turn about x: from +Y up, facing +Z, to y down, facing the camera.
         pose[0] = PI;
-        (pose[3 * 16 + 2], pose[3 * 17 + 2]) = (-1.0, 1.0);
+        (pose[3 * LEFT_SHOULDER + 2], pose[3 * RIGHT_SHOULDER + 2]) = (-1.0, 1.0);
         let at_origin = forward(body, &[], None, &pose, [0.0; 3]).vertices;
         let [x, y, _] = [0, 1, 2].map(|axis| extent(&at_origin, axis));
         let s = f64::from(size);

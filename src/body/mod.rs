@@ -3,48 +3,16 @@
 mod check;
 mod file;
 pub mod import;
+pub mod joints;
 mod landmarks;
 mod test_body;
 
 pub use check::InvalidBody;
 pub use file::BodyError;
+pub use joints::{JOINT_NAMES, N_JOINTS, N_POSE, PARENTS};
 pub use landmarks::Landmarks;
 
 use serde::{Deserialize, Serialize};
-
-/// Joints of every body, in SMPL's order.
-pub const N_JOINTS: usize = 24;
-
-/// Parents of SMPL's joints; the root has none (−1).
-pub const PARENTS: [i32; N_JOINTS] = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21];
-
-/// SMPL's joint names.
-pub const JOINT_NAMES: [&str; N_JOINTS] = [
-    "pelvis",
-    "left_hip",
-    "right_hip",
-    "spine1",
-    "left_knee",
-    "right_knee",
-    "spine2",
-    "left_ankle",
-    "right_ankle",
-    "spine3",
-    "left_foot",
-    "right_foot",
-    "neck",
-    "left_collar",
-    "right_collar",
-    "head",
-    "left_shoulder",
-    "right_shoulder",
-    "left_elbow",
-    "right_elbow",
-    "left_wrist",
-    "right_wrist",
-    "left_hand",
-    "right_hand",
-];
 
 /// Skinning influences of a vertex.
 pub const N_INFLUENCES: usize = 4;

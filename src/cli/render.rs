@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail};
 use effigy::avatar::{
     AvatarModel, Background, Light, Place, Pose, Quality, RenderSpec, Renderer, VideoError, VideoWriter,
 };
+use effigy::body::N_POSE;
 use effigy::camera::Camera;
 use effigy::capture::read_camera;
 use effigy::gpu::{DeviceSelect, Gpu};
@@ -122,12 +123,12 @@ fn shots(args: &Args, model: &AvatarModel) -> Result<Vec<Shot>> {
 
 fn poses(path: &Path, trans_is_pelvis: bool) -> Result<Vec<Shot>> {
     let npz = Npz::open(path)?;
-    let poses = npz.shaped("poses", &[usize::MAX, 72])?;
+    let poses = npz.shaped("poses", &[usize::MAX, N_POSE])?;
     let n = poses.shape[0];
     let is_pelvis = npz.arrays.contains_key("pelvis");
     let places = npz.shaped(if is_pelvis { "pelvis" } else { "trans" }, &[n, 3])?.f32();
     let place = |at| if is_pelvis || trans_is_pelvis { Place::Pelvis(at) } else { Place::Transl(at) };
-    let rows = poses.f32().as_chunks::<72>().0.to_vec().into_iter().zip(places.as_chunks().0.to_vec());
+    let rows = poses.f32().as_chunks::<N_POSE>().0.to_vec().into_iter().zip(places.as_chunks().0.to_vec());
     Ok(rows.enumerate().map(|(i, (pose, at))| (format!("pose_{i:04}"), pose, place(at))).collect())
 }
 

@@ -14,7 +14,8 @@ use image::{GrayImage, RgbImage};
 use super::config::FitConfig;
 use super::look::well_inside;
 use super::state::{FitState, Stage};
-use crate::body::{Body, N_JOINTS};
+use crate::body::joints::HEAD;
+use crate::body::{Body, N_POSE};
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::ops::project::cpu::forward as project;
@@ -34,10 +35,6 @@ const MARGIN: f32 = 1.1;
 const LOG2_HASHMAP_SIZE: u32 = 17;
 /// Colours run over a mask's border by compression, pixels.
 const BLEEDING_PX: u32 = 2;
-/// SMPL's.
-const HEAD: u32 = 15;
-/// Numbers of a pose
-const N_POSE: usize = 3 * N_JOINTS;
 
 /// Which frames are looked at once more, and how large.
 #[derive(Clone, Debug, PartialEq)]
@@ -194,7 +191,7 @@ fn cell(body: &Body, fitted: &FitState, camera: &Camera) -> f64 {
 fn head(body: &Body, fitted: &FitState, k: usize, camera: &Camera) -> Option<[f32; 3]> {
     let (pose, offsets) = (&fitted.poses[k * N_POSE..][..N_POSE], fitted.offsets.as_chunks().0);
     let posed = pose_body(body, &fitted.betas, Some(offsets), pose, fitted.transl.as_chunks().0[k]);
-    square_around(camera, &posed.vertices, |v| body.weight_of(v, |j| j == HEAD) > 0.5, MARGIN)
+    square_around(camera, &posed.vertices, |v| body.weight_of(v, |j| j as usize == HEAD) > 0.5, MARGIN)
 }
 
 /// The square around the vertices of which `part` holds as the camera sees them, `margin` times as large as they need: left, top,
@@ -351,7 +348,7 @@ mod tests {
         let capture = capture(3, 120, 240, 90);
         let config =
             FitConfig { field: TextureFieldConfig { n_levels: 3, ..Default::default() }, ..FitConfig::draft(1) };
-        let poses: Vec<[f32; 72]> =
+        let poses: Vec<[f32; N_POSE]> =
             (0..3).map(|k| std::array::from_fn(|i| if i == 1 { 0.1 * k as f32 } else { 0.0 })).collect();
         // The camera's y points down: upside down, and in the middle of the picture.
         let transl = [[0.0, 0.0, 2.0]; 3];

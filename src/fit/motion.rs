@@ -3,7 +3,11 @@
 
 use super::config::Weights;
 use super::poses::PoseGroups;
-use crate::body::{JOINT_NAMES, N_JOINTS};
+use crate::body::joints::{
+    LEFT_ANKLE, LEFT_ELBOW, LEFT_FOOT, LEFT_HAND, LEFT_HIP, LEFT_KNEE, PELVIS, RIGHT_ANKLE, RIGHT_ELBOW, RIGHT_FOOT,
+    RIGHT_HAND, RIGHT_HIP, RIGHT_KNEE,
+};
+use crate::body::{N_JOINTS, N_POSE};
 use crate::gpu::{Gpu, Recorder};
 use crate::ops::anchor::{Anchor, AnchorConfig};
 use crate::ops::angular_acceleration::{AngularAcceleration, AngularAccelerationConfig};
@@ -39,21 +43,17 @@ fn anchor_scales(start: &[f32]) -> [[f64; 3]; N_JOINTS] {
     const HINGE: f64 = 0.01;
     const TWIST: f64 = 0.02;
     const END: f64 = 0.03;
-    let twist = |joint: &str| {
-        let column = JOINT_NAMES.iter().position(|name| *name == joint).map_or(0, |j| 3 * j + 1);
-        TWIST.max(spread(start.chunks_exact(3 * N_JOINTS).map(|pose| pose[column].into())))
-    };
-    let of = |joint: &str| match joint {
+    let twist = |joint: usize| TWIST.max(spread(start.chunks_exact(N_POSE).map(|pose| pose[3 * joint + 1].into())));
+    std::array::from_fn(|joint| match joint {
         // The root's orientation is well seen.
-        "pelvis" => [f64::INFINITY; 3],
-        "left_hip" | "right_hip" => [USUAL, twist(joint), USUAL],
-        "left_ankle" | "right_ankle" => [USUAL, TWIST, USUAL],
-        "left_knee" | "right_knee" => [USUAL, HINGE, HINGE],
-        "left_elbow" | "right_elbow" => [HINGE, USUAL, HINGE],
-        "left_foot" | "right_foot" | "left_hand" | "right_hand" => [END; 3],
+        PELVIS => [f64::INFINITY; 3],
+        LEFT_HIP | RIGHT_HIP => [USUAL, twist(joint), USUAL],
+        LEFT_ANKLE | RIGHT_ANKLE => [USUAL, TWIST, USUAL],
+        LEFT_KNEE | RIGHT_KNEE => [USUAL, HINGE, HINGE],
+        LEFT_ELBOW | RIGHT_ELBOW => [HINGE, USUAL, HINGE],
+        LEFT_FOOT | RIGHT_FOOT | LEFT_HAND | RIGHT_HAND => [END; 3],
         _ => [USUAL; 3],
-    };
-    JOINT_NAMES.map(of)
+    })
 }
 
 /// The accelerations of `values [N, stride]`, those up to `least` left out.
@@ -90,8 +90,8 @@ impl Motion {
     /// taken, in any unit.
     pub fn new(gpu: &Gpu, start: &[f32], times: &[f64]) -> Self {
         let spacing = &spacing(times);
-        let usual = acceleration(start.len() / (3 * N_JOINTS));
-        let stride = 3 * N_JOINTS;
+        let usual = acceleration(start.len() / N_POSE);
+        let stride = N_POSE;
         let (scale, max_change) = (POSE_ACCELERATION * usual, POSE_JUMP.into());
         let root = AngularAccelerationConfig { stride, scale, max_turn: TURN_JUMP };
         let joints = TemporalConfig { stride, first: 3, scale, max_change };
@@ -123,34 +123,30 @@ impl Motion {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::joints::{LEFT_SHOULDER, RIGHT_SHOULDER};
 
     #[test]
     fn hinges_are_held_where_they_do_not_bend() {
-        let scales = anchor_scales(&[0.0; 6 * N_JOINTS]);
-        let held = |joint: &str| {
-            let scales = scales[JOINT_NAMES.iter().position(|name| *name == joint).unwrap()];
-            scales.map(|scale| scale < 0.05)
-        };
-        for side in ["left", "right"] {
-            // A knee bends about the axis that points to the left, an elbow in the T-pose about the vertical one.
-            assert_eq!(held(&format!("{side}_knee")), [false, true, true]);
-            assert_eq!(held(&format!("{side}_elbow")), [true, false, true]);
-            assert_eq!(held(&format!("{side}_hip")), [false, true, false]);
-            assert_eq!(held(&format!("{side}_shoulder")), [false; 3]);
-        }
-        assert_eq!(held("pelvis"), [false; 3]);
+        let scales = anchor_scales(&[0.0; 2 * N_POSE]);
+        let held = |joint: usize| scales[joint].map(|scale| scale < 0.05);
+        // A knee bends about the axis that points to the left, an elbow in the T-pose about the vertical one.
+        assert_eq!([LEFT_KNEE, RIGHT_KNEE].map(held), [[false, true, true]; 2]);
+        assert_eq!([LEFT_ELBOW, RIGHT_ELBOW].map(held), [[true, false, true]; 2]);
+        assert_eq!([LEFT_HIP, RIGHT_HIP].map(held), [[false, true, false]; 2]);
+        assert_eq!([LEFT_SHOULDER, RIGHT_SHOULDER].map(held), [[false; 3]; 2]);
+        assert_eq!(held(PELVIS), [false; 3]);
     }
 
     #[test]
     fn a_leg_that_steps_may_twist() {
-        let hip = |joint: &str| 3 * JOINT_NAMES.iter().position(|name| *name == joint).unwrap() + 1;
-        let mut start = vec![0.0; 8 * 3 * N_JOINTS];
-        for (frame, pose) in start.chunks_exact_mut(3 * N_JOINTS).enumerate() {
-            pose[hip("left_hip")] = if frame % 2 == 0 { 0.3 } else { -0.3 };
+        let hip = |joint: usize| 3 * joint + 1;
+        let mut start = vec![0.0; 8 * N_POSE];
+        for (frame, pose) in start.chunks_exact_mut(N_POSE).enumerate() {
+            pose[hip(LEFT_HIP)] = if frame % 2 == 0 { 0.3 } else { -0.3 };
         }
         let scales = anchor_scales(&start);
-        let twist = |joint: &str| scales.as_flattened()[hip(joint)];
-        assert!((twist("left_hip") - 0.3).abs() < 1e-6 && twist("right_hip") < 0.05);
+        let twist = |joint: usize| scales.as_flattened()[hip(joint)];
+        assert!((twist(LEFT_HIP) - 0.3).abs() < 1e-6 && twist(RIGHT_HIP) < 0.05);
     }
 
     #[test]

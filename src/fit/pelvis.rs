@@ -6,11 +6,28 @@
 use glam::{Quat, Vec3};
 use nalgebra::{DMatrix, DVector};
 
-use crate::body::{Body, N_JOINTS};
+use crate::body::joints::{
+    LEFT_ANKLE, LEFT_ELBOW, LEFT_HIP, LEFT_KNEE, LEFT_SHOULDER, LEFT_WRIST, RIGHT_ANKLE, RIGHT_ELBOW, RIGHT_HIP,
+    RIGHT_KNEE, RIGHT_SHOULDER, RIGHT_WRIST,
+};
+use crate::body::{Body, N_POSE};
 
 /// Hips, whose middle all places are told from, and the limbs' joints, hips among them.
-const HIPS: [usize; 2] = [1, 2];
-const LIMBS: [usize; 12] = [1, 2, 4, 5, 7, 8, 16, 17, 18, 19, 20, 21];
+const HIPS: [usize; 2] = [LEFT_HIP, RIGHT_HIP];
+const LIMBS: [usize; 12] = [
+    LEFT_HIP,
+    RIGHT_HIP,
+    LEFT_KNEE,
+    RIGHT_KNEE,
+    LEFT_ANKLE,
+    RIGHT_ANKLE,
+    LEFT_SHOULDER,
+    RIGHT_SHOULDER,
+    LEFT_ELBOW,
+    RIGHT_ELBOW,
+    LEFT_WRIST,
+    RIGHT_WRIST,
+];
 
 /// How far joints that keypoints have found lie off, standard deviation, metres.
 const JOINTS_OFF: f64 = 5e-3;
@@ -24,7 +41,7 @@ pub fn settle(body: &mut Body, betas: &[f32], poses: &[f32], transl: &mut [f32])
     let found = joints(body, betas);
     let moved = middle(&found) + expected(body, &found) - found[0];
     (0..3).for_each(|axis| body.j_template[0][axis] += moved[axis]);
-    let (poses, places) = (poses.as_chunks::<{ 3 * N_JOINTS }>().0, transl.as_chunks_mut::<3>().0);
+    let (poses, places) = (poses.as_chunks::<N_POSE>().0, transl.as_chunks_mut::<3>().0);
     for (pose, place) in poses.iter().zip(places) {
         let turn = Quat::from_scaled_axis(Vec3::from_slice(pose));
         *place = (Vec3::from(*place) + turn * moved - moved).to_array();
@@ -64,6 +81,7 @@ fn expected(body: &Body, found: &[Vec3]) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::N_JOINTS;
     use crate::ops::skinning::cpu::forward;
 
     /// Components that move the pelvis up by some centimetres: with all other joints, as a larger body does, and alone, as girth does to
@@ -109,8 +127,8 @@ mod tests {
     #[test]
     fn the_posed_body_stays_where_it_is() {
         let mut body = body();
-        let (betas, mut pose) = ([0.4, -2.0, 0.7], [0.0; 72]);
-        (0..72).for_each(|k| pose[k] = 0.3 * (k as f32 * 1.7).sin());
+        let (betas, mut pose) = ([0.4, -2.0, 0.7], [0.0; N_POSE]);
+        (0..N_POSE).for_each(|k| pose[k] = 0.3 * (k as f32 * 1.7).sin());
         pose[1] = 2.4;
         let mut transl = [0.2, -0.1, 3.0];
         let before = forward(&body, &betas, None, &pose, transl).vertices;

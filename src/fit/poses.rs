@@ -9,7 +9,7 @@ use super::kept::{Keeper, Kept};
 use super::motion::{PLACE_JUMP, POSE_JUMP};
 use super::schedule::Step;
 use super::state::FitState;
-use crate::body::N_JOINTS;
+use crate::body::{N_JOINTS, N_POSE};
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::adam::{Adam, AdamConfig};
 use crate::ops::skinning::PoseAt;
@@ -34,7 +34,7 @@ impl PoseGroups {
             [of(&state.stage_poses, N_JOINTS, POSE_JUMP), of(&state.stage_transl, 1, PLACE_JUMP)]
         };
         Self {
-            poses: Group::per_frame(gpu, "poses", poses, 3 * N_JOINTS, adam),
+            poses: Group::per_frame(gpu, "poses", poses, N_POSE, adam),
             transl: Group::per_frame(gpu, "transl", transl, 3, adam),
             smooth: (frames > 0.0).then(smooth),
         }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::kept::Arrays;
 use crate::atomic_file;
-use crate::body::Body;
+use crate::body::{Body, N_POSE};
 use crate::npz::{Npz, NpzError, NpzWriter};
 use crate::ops::light::Light;
 use crate::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
@@ -161,7 +161,7 @@ impl FitState {
     pub fn new(
         body: &Body,
         betas: Vec<f32>,
-        poses: &[[f32; 72]],
+        poses: &[[f32; N_POSE]],
         transl: &[[f32; 3]],
         field: TextureFieldConfig,
         seed: u64,
@@ -186,7 +186,7 @@ impl FitState {
     }
 
     pub fn n_frames(&self) -> usize {
-        self.poses.len() / 72
+        self.poses.len() / N_POSE
     }
 
     /// False where a parameter has become infinite or NaN.

@@ -4,9 +4,8 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::footage::Footage;
+use crate::body::joints::{LEFT_SHOULDER, RIGHT_SHOULDER};
 
-/// SMPL's shoulders.
-const SHOULDERS: [usize; 2] = [16, 17];
 /// COCO-17's left points; each partner is the next one.
 const LEFT: [usize; 8] = [1, 3, 5, 7, 9, 11, 13, 15];
 
@@ -37,7 +36,7 @@ pub fn dropped(footage: &mut Footage, rng: &mut Pcg64) {
 pub fn swapped_backs(footage: &mut Footage, _rng: &mut Pcg64) {
     for (points, joints) in footage.keypoints.frames.iter_mut().zip(&footage.joints_px) {
         // Seen from the front, the left shoulder is to the right.
-        let [left, right] = SHOULDERS.map(|j| joints[j][0]);
+        let [left, right] = [LEFT_SHOULDER, RIGHT_SHOULDER].map(|j| joints[j][0]);
         if left < right {
             LEFT.iter().for_each(|&k| points.swap(k, k + 1));
         }

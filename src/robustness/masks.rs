@@ -5,10 +5,7 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::footage::Footage;
-
-/// SMPL's left hand and feet.
-const LEFT_HAND: usize = 22;
-const FEET: [usize; 2] = [10, 11];
+use crate::body::joints::{LEFT_FOOT, LEFT_HAND, RIGHT_FOOT};
 
 fn disc(mask: &mut GrayImage, centre: [f64; 2], radii: [f64; 2], value: u8) {
     let range = |c: f64, r: f64, side: u32| {
@@ -77,7 +74,7 @@ pub fn shadow(footage: &mut Footage, rng: &mut Pcg64) {
     let height = footage.person_px();
     for (mask, joints) in footage.masks.iter_mut().zip(&footage.joints_px) {
         if rng.random::<f64>() < 0.4 {
-            let [a, b] = FEET.map(|j| joints[j]);
+            let [a, b] = [LEFT_FOOT, RIGHT_FOOT].map(|j| joints[j]);
             let centre = [0.5 * (a[0] + b[0]) + 0.1 * height, 0.5 * (a[1] + b[1]) + 0.01 * height];
             disc(mask, centre, [0.16 * height, 0.03 * height], 255);
         }

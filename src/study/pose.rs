@@ -13,7 +13,7 @@ use super::objective::{Border, ImageTerms, Objective, Soft, View};
 use super::painter::{Painter, on_white, sheet};
 use super::{Context, Report, Study, Table, Verdict};
 use crate::avatar::{Pose, ply};
-use crate::body::{Body, N_JOINTS};
+use crate::body::{Body, N_JOINTS, N_POSE};
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureInputs, CaptureOptions, Frame};
 use crate::gpu::Gpu;
@@ -346,7 +346,7 @@ impl<'a> Refiner<'a> {
             }
         }
         let (poses, transl) = (gpu.read(&poses)?, gpu.read(&transl)?);
-        let rows = poses.as_chunks::<72>().0.iter().zip(transl.as_chunks::<3>().0);
+        let rows = poses.as_chunks::<N_POSE>().0.iter().zip(transl.as_chunks::<3>().0);
         Ok(rows.map(|(&pose, &transl)| Placed { pose, transl }).collect())
     }
 
@@ -414,7 +414,7 @@ mod tests {
     #[test]
     fn a_turned_pose_is_off_by_its_angle_in_every_joint() {
         let mut rng = Pcg64::seed_from_u64(1);
-        let mut pose = [0.0; 72];
+        let mut pose = [0.0; N_POSE];
         pose[..6].copy_from_slice(&[0.3, -1.0, 0.2, 0.5, 0.1, -0.4]);
         let off = turned(&pose, 12.0, &mut rng);
         assert_eq!(off[..3], pose[..3], "the root stays");

@@ -8,7 +8,8 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use effigy::avatar::{AvatarModel, RenderSpec, Renderer, UvLayout};
-use effigy::body::Body;
+use effigy::body::joints::{LEFT_HIP, LEFT_KNEE, RIGHT_ELBOW, RIGHT_HIP};
+use effigy::body::{Body, N_POSE};
 use effigy::capture::{Capture, CaptureInputs, CaptureOptions};
 use effigy::fit::stage0::{self, Stage0Options};
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, Inputs, StepReport, Texels};
@@ -218,10 +219,10 @@ fn a_wrong_focal_length_is_told_and_replaced() {
 /// Legs apart in all frames, and the gap between them closed from the crotch to the knees, as where a skirt was fitted.
 fn wear_a_skirt(body: &Body, state: &mut FitState) {
     const APART: f32 = 0.12;
-    for pose in state.poses.chunks_mut(72) {
-        (pose[5], pose[8]) = (APART, -APART);
+    for pose in state.poses.chunks_mut(N_POSE) {
+        (pose[3 * LEFT_HIP + 2], pose[3 * RIGHT_HIP + 2]) = (APART, -APART);
     }
-    let [hip, knee] = [1, 4].map(|joint| body.j_template[joint]);
+    let [hip, knee] = [LEFT_HIP, LEFT_KNEE].map(|joint| body.j_template[joint]);
     for (offset, v) in state.offsets.as_chunks_mut::<3>().0.iter_mut().zip(&body.v_template) {
         let of_leg = (v[0] / hip[0]).abs();
         if of_leg < 1.0 && (knee[1]..hip[1]).contains(&v[1]) {
@@ -490,9 +491,9 @@ fn a_pose_is_refined_on_its_picture_while_the_avatar_stands() {
     let config = FitConfig::draft(0);
     let fitted = start.fit(&gpu, &config, start.state.clone()).0.unwrap();
     let mut alone =
-        FitState { poses: fitted.poses[..72].to_vec(), transl: fitted.transl[..3].to_vec(), ..fitted.clone() };
+        FitState { poses: fitted.poses[..N_POSE].to_vec(), transl: fitted.transl[..3].to_vec(), ..fitted.clone() };
     // The right elbow and the place are off, as a foreign body's would be.
-    alone.poses[3 * 19 + 1] += 0.25;
+    alone.poses[3 * RIGHT_ELBOW + 1] += 0.25;
     alone.transl[0] += 0.03;
     let (picture, camera) = (start.capture.frames[0].clone(), &start.camera);
     let refined = fit::refine_pose(&gpu, &start.body, camera, picture, alone.clone(), &config).unwrap();

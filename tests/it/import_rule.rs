@@ -15,7 +15,7 @@ const RULE: &[(&str, &[&str])] = &[
     ("eval", &["fit", "avatar", "page", "capture"]),
     ("synth", &["avatar", "ops", "body", "gpu"]),
     ("study", &["fit", "avatar", "eval", "synth", "bench", "ops", "body", "gpu", "capture"]),
-    ("robustness", &["eval", "synth", "avatar", "page", "gpu"]),
+    ("robustness", &["eval", "synth", "avatar", "page", "gpu", "body"]),
     ("ops", &["gpu", "body"]),
     ("jobs", &[]),
     ("storage", &[]),

@@ -8,13 +8,14 @@ mod toe_cap;
 
 use glam::Vec3;
 
+use crate::body::joints::{LEFT_ANKLE, LEFT_FOOT, RIGHT_ANKLE, RIGHT_FOOT};
 use crate::body::{Body, KeypointSource};
 use crate::capture::Capture;
 use crate::fit::stage0::Stage0Result;
 use crate::ops::Topology;
 
 /// Ankle and foot: left, right.
-const FEET: [[usize; 2]; 2] = [[7, 10], [8, 11]];
+const FEET: [[usize; 2]; 2] = [[LEFT_ANKLE, LEFT_FOOT], [RIGHT_ANKLE, RIGHT_FOOT]];
 /// Part of a vertex' weight from which on it belongs to the toes.
 const OF_TOES: f32 = 0.5;
 /// Nose, left and right ear among COCO's 17 points.
@@ -103,6 +104,7 @@ impl Head {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::N_POSE;
     use crate::camera::Camera;
     use crate::capture::Frame;
     use crate::fit::stage0::Stage0Report;
@@ -114,7 +116,7 @@ mod tests {
     /// A body that turns once in eight frames before a camera.
     fn turning(body: &Body) -> Stage0Result {
         let pose = |k: usize| {
-            let mut pose = [0.0; 72];
+            let mut pose = [0.0; N_POSE];
             // Upright in a world whose y runs down, facing the camera first: half a turn about x, then the turn.
             let turn = glam::Quat::from_rotation_x(std::f32::consts::PI)
                 * glam::Quat::from_rotation_y(std::f32::consts::TAU * k as f32 / 8.0);

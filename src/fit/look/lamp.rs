@@ -453,7 +453,7 @@ mod tests {
         let turned = |k: usize| {
             let turn = glam::Quat::from_rotation_x(std::f32::consts::PI)
                 * glam::Quat::from_rotation_y(std::f32::consts::TAU * k as f32 / 16.0);
-            let mut pose = [0.0; 72];
+            let mut pose = [0.0; crate::body::N_POSE];
             pose[..3].copy_from_slice(&turn.to_scaled_axis().to_array());
             crate::ops::skinning::cpu::forward(body, &[], None, &pose, [0.0, 0.0, 3.0]).vertices
         };

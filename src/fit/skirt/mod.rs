@@ -12,14 +12,13 @@ use self::outline::Outline;
 use self::standing::Standing;
 use super::smooth;
 use super::state::FitState;
+use crate::body::joints::{LEFT_HIP, LEFT_KNEE, RIGHT_HIP, RIGHT_KNEE};
 use crate::body::{Body, N_INFLUENCES, N_JOINTS};
 use crate::ops::Topology;
 
-/// Numbers of a pose
-const N_POSE: usize = 3 * N_JOINTS;
 /// Joints of both legs, left and right.
-const THIGHS: [usize; 2] = [1, 2];
-const SHANKS: [usize; 2] = [4, 5];
+const THIGHS: [usize; 2] = [LEFT_HIP, RIGHT_HIP];
+const SHANKS: [usize; 2] = [LEFT_KNEE, RIGHT_KNEE];
 
 /// Heights that are looked at, between hip (0) and ankle (1).
 const ROWS: usize = 48;
@@ -260,15 +259,20 @@ fn strongest(weights: &[f32; N_JOINTS]) -> ([u32; N_INFLUENCES], [f32; N_INFLUEN
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::N_POSE;
     use crate::ops::skinning::cpu::forward;
     use crate::ops::texture_field::TextureFieldConfig;
+
+    /// Where a pose turns the thighs outwards, and bends the knees.
+    const APART: [usize; 2] = [3 * LEFT_HIP + 2, 3 * RIGHT_HIP + 2];
+    const BENT: [usize; 2] = [3 * LEFT_KNEE, 3 * RIGHT_KNEE];
 
     /// Legs apart as in an A-pose, in two frames that differ a little.
     fn standing(body: &Body) -> FitState {
         let pose = |more: f32| {
             let mut pose = [0.0; N_POSE];
             pose[1] = 2.0 + more;
-            (pose[5], pose[8]) = (0.12 + 0.01 * more, -0.12 - 0.01 * more);
+            (pose[APART[0]], pose[APART[1]]) = (0.12 + 0.01 * more, -0.12 - 0.01 * more);
             pose
         };
         let betas = vec![0.0; body.n_betas];
@@ -315,7 +319,7 @@ mod tests {
         let mut state = standing(&body);
         for closer in [-0.04, -0.08, -0.12] {
             for pose in state.poses.chunks_mut(N_POSE) {
-                (pose[5], pose[8]) = (closer, -closer);
+                (pose[APART[0]], pose[APART[1]]) = (closer, -closer);
             }
             assert_eq!(Skirt::find(&body, &state), None, "{closer}");
         }
@@ -333,7 +337,7 @@ mod tests {
         let before = Standing::new(&body, &state, &state.offsets);
         let parted = |body: &Body, state: &FitState| {
             let mut pose = [0.0; N_POSE];
-            (pose[5], pose[8]) = (0.5, -0.5);
+            (pose[APART[0]], pose[APART[1]]) = (0.5, -0.5);
             let posed = forward(body, &state.betas, Some(state.offsets.as_chunks().0), &pose, [0.0; 3]);
             // Of what lay in the middle: how far from it the farthest is now.
             let middle = (0..body.n_vertices()).filter(|&v| {
@@ -360,7 +364,7 @@ mod tests {
         let moved_by_knees = |body: &Body, state: &FitState| {
             let pose = |knees: f32| {
                 let mut pose = [0.0; N_POSE];
-                (pose[12], pose[15]) = (knees, knees);
+                (pose[BENT[0]], pose[BENT[1]]) = (knees, knees);
                 forward(body, &state.betas, Some(state.offsets.as_chunks().0), &pose, [0.0; 3]).vertices
             };
             let (straight, bent) = (pose(0.0), pose(0.8));
@@ -486,7 +490,8 @@ mod tests {
         assert_eq!((body.uv_faces.len(), within(&body, &state)), (body.n_faces(), 0));
         for apart in [0.0, 0.3, 0.6] {
             let mut pose = [0.0; N_POSE];
-            (pose[3], pose[5], pose[8], pose[12]) = (-apart, apart, -apart, apart);
+            (pose[APART[0]], pose[APART[1]]) = (apart, -apart);
+            (pose[3 * LEFT_HIP], pose[BENT[0]]) = (-apart, apart);
             let posed = forward(&body, &state.betas, Some(state.offsets.as_chunks().0), &pose, [0.0; 3]);
             assert_eq!(open_edges(&body.faces, &posed.vertices), before, "legs apart by {apart}");
         }

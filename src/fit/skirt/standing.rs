@@ -2,15 +2,15 @@
 
 use glam::{Mat3, Vec2, Vec3};
 
-use super::N_POSE;
-use crate::body::Body;
+use crate::body::joints::{LEFT_ANKLE, LEFT_HIP, LEFT_KNEE, LEFT_SHOULDER, RIGHT_ANKLE, RIGHT_HIP, RIGHT_KNEE};
+use crate::body::{Body, N_JOINTS, N_POSE};
 use crate::fit::state::FitState;
 use crate::ops::skinning::cpu::{Posed, Transform, forward};
 
 /// Hip, knee, ankle: left, right.
-const LEGS: [[usize; 3]; 2] = [[1, 4, 7], [2, 5, 8]];
+const LEGS: [[usize; 3]; 2] = [[LEFT_HIP, LEFT_KNEE, LEFT_ANKLE], [RIGHT_HIP, RIGHT_KNEE, RIGHT_ANKLE]];
 /// From the upper arms on.
-const ARMS: std::ops::Range<u32> = 16..24;
+const ARMS: std::ops::Range<usize> = LEFT_SHOULDER..N_JOINTS;
 
 /// The body in the clip's mean pose, upright: x to its left, y up, z ahead.
 pub(super) struct Standing {
@@ -29,7 +29,7 @@ impl Standing {
         }
         pose[..3].fill(0.0);
         let posed = forward(body, &state.betas, Some(offsets.as_chunks().0), &pose, [0.0; 3]);
-        let is_of_arm = |v| body.weight_of(v, |joint| ARMS.contains(&joint)) > 0.5;
+        let is_of_arm = |v| body.weight_of(v, |joint| ARMS.contains(&(joint as usize))) > 0.5;
         let of_arm: Vec<bool> = (0..body.n_vertices()).map(is_of_arm).collect();
         let edges = body.faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
         let edges = edges.filter(|edge| edge.iter().all(|&v| !of_arm[v as usize])).collect();

@@ -13,6 +13,10 @@ use super::state::{self, State};
 use super::steps::Looks;
 use super::{Candidate, Clock, Stage0Error, Stage0Report, sides};
 use crate::body::Body;
+use crate::body::joints::{
+    HEAD, LEFT_ANKLE, LEFT_FOOT, LEFT_HAND, LEFT_HIP, LEFT_WRIST, PELVIS, RIGHT_ANKLE, RIGHT_FOOT, RIGHT_HAND,
+    RIGHT_HIP, RIGHT_WRIST,
+};
 use crate::capture::{Capture, Frame};
 
 /// Times that outlines are matched anew: before steps are looked for, and again where there are some.
@@ -34,10 +38,8 @@ const INSIDE: f64 = 0.012;
 const ALIKE: f64 = 0.6;
 const REACH: f64 = 0.06;
 /// Ankles and toes, head, wrists and hands: shoes and hair are always larger than what they cover.
-const DRESSED_JOINTS: [u32; 9] = [7, 8, 10, 11, 15, 20, 21, 22, 23];
-const PELVIS: u32 = 0;
-const LEFT_HIP: u32 = 1;
-const RIGHT_HIP: u32 = 2;
+const DRESSED_JOINTS: [usize; 9] =
+    [LEFT_ANKLE, RIGHT_ANKLE, LEFT_FOOT, RIGHT_FOOT, HEAD, LEFT_WRIST, RIGHT_WRIST, LEFT_HAND, RIGHT_HAND];
 /// Distance from the picture's border in pixels where masks end without being a person's edge.
 const BORDER_PX: f64 = 3.0;
 
@@ -148,13 +150,13 @@ fn is_dressed(body: &Body, v: usize) -> bool {
 }
 
 fn is_between_the_legs(body: &Body, v: usize) -> bool {
-    let ([x, y, _], hip) = (body.v_template[v], body.j_template[LEFT_HIP as usize]);
-    let of_hips = body.weight_of(v, |joint| [PELVIS, LEFT_HIP, RIGHT_HIP].contains(&joint));
+    let ([x, y, _], hip) = (body.v_template[v], body.j_template[LEFT_HIP]);
+    let of_hips = body.weight_of(v, |joint| [PELVIS, LEFT_HIP, RIGHT_HIP].contains(&(joint as usize)));
     of_hips > 0.5 && x.abs() < hip[0].abs() && y < hip[1]
 }
 
 fn is_covered(body: &Body, v: usize) -> bool {
-    body.weight_of(v, |joint| DRESSED_JOINTS.contains(&joint)) > 0.3
+    body.weight_of(v, |joint| DRESSED_JOINTS.contains(&(joint as usize))) > 0.3
 }
 
 /// The model's outline in all frames of one state.

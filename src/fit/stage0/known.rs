@@ -8,7 +8,7 @@ use super::rotation;
 use super::setup;
 use super::state::{Frame, State};
 use super::{Candidate, Stage0Error, Stage0Report};
-use crate::body::{Body, N_JOINTS};
+use crate::body::{Body, N_JOINTS, N_POSE};
 use crate::capture::{Capture, KnownPoses};
 
 /// Steps of the search for a shift that all frames share, and its spread along the world's axes, metres: another
@@ -48,7 +48,7 @@ pub fn candidate(
     let camera_shift = DVec3::from_array(capture.camera.translation);
     let mut frames = Vec::with_capacity(n);
     for (t, (pose, trans)) in known.poses.iter().zip(&known.trans).enumerate() {
-        if pose.len() != 3 * N_JOINTS {
+        if pose.len() != N_POSE {
             return Err(Stage0Error::PoseLength { frame: t, found: pose.len() });
         }
         let theta: [DVec3; N_JOINTS] =

@@ -39,7 +39,7 @@ mod synthetic;
 mod tests;
 mod tracks;
 
-use crate::body::Body;
+use crate::body::{Body, N_POSE};
 use crate::camera::Camera;
 use crate::capture::Capture;
 pub use focal::{FOCAL_OFF, FocalCheck};
@@ -73,7 +73,7 @@ pub struct Stage0Result {
     /// `[B]`; only the first 16 are fitted, others are zero.
     pub betas: Vec<f32>,
     /// `[N][72]`
-    pub poses: Vec<[f32; 72]>,
+    pub poses: Vec<[f32; N_POSE]>,
     /// `[N]`: SMPL's `transl`, metres; the pelvis joint ends at `J0(betas) + transl`.
     pub transl: Vec<[f32; 3]>,
     /// The capture's, with the focal length found where it was estimated.
@@ -132,7 +132,7 @@ pub enum Stage0Error {
          the video turns its images, masks and keypoints have to be turned too)"
     )]
     NobodyFound,
-    #[error("poses: frame {frame}: {found} values, expected 72")]
+    #[error("poses: frame {frame}: {found} values, expected {N_POSE}")]
     PoseLength { frame: usize, found: usize },
     #[error("poses: {found} frames, expected {expected}")]
     PoseCount { found: usize, expected: usize },

@@ -4,6 +4,10 @@
 use glam::DVec3;
 
 use crate::body::N_JOINTS;
+use crate::body::joints::{
+    HEAD, LEFT_ANKLE, LEFT_ELBOW, LEFT_HIP, LEFT_KNEE, LEFT_SHOULDER, NECK, RIGHT_ANKLE, RIGHT_ELBOW, RIGHT_HIP,
+    RIGHT_KNEE, RIGHT_SHOULDER,
+};
 
 /// One joint's prior, in its rotation vector's three components; radians.
 #[derive(Clone, Copy, Debug)]
@@ -24,18 +28,16 @@ pub const LIMIT_SIGMA: f64 = 0.03;
 /// the clip's ends take from stage 0").
 pub fn sway(joint: usize) -> f64 {
     match joint {
-        // Hips, knees, ankles.
-        1 | 2 | 4 | 5 | 7 | 8 => 0.02,
-        12 | 15 => 0.04,
-        // Shoulders, elbows.
-        16 | 17 => 0.06,
-        18 | 19 => 0.07,
+        LEFT_HIP | RIGHT_HIP | LEFT_KNEE | RIGHT_KNEE | LEFT_ANKLE | RIGHT_ANKLE => 0.02,
+        NECK | HEAD => 0.04,
+        LEFT_SHOULDER | RIGHT_SHOULDER => 0.06,
+        LEFT_ELBOW | RIGHT_ELBOW => 0.07,
         // Root, spine, collars.
         _ => 0.013,
     }
 }
 /// Shoulders and elbows.
-pub const ARMS: std::ops::RangeInclusive<usize> = 16..=19;
+pub const ARMS: std::ops::RangeInclusive<usize> = LEFT_SHOULDER..=RIGHT_ELBOW;
 /// Units of time after which a sway is forgotten.
 pub const SWAY_TIME: f64 = 80.0;
 /// How the root's tilt and place drift over one unit of time: radians, parts of the distance.

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::known::camera_rotation;
 use super::landmarks::Landmark;
 use super::{Candidate, Stage0Report, Stage0Result, rotation, sides};
-use crate::body::{Body, N_JOINTS};
+use crate::body::{Body, N_POSE};
 use crate::capture::Capture;
 
 pub fn result(best: &Candidate, body: &Body, capture: &Capture, mut report: Stage0Report) -> Stage0Result {
@@ -18,7 +18,7 @@ pub fn result(best: &Candidate, body: &Body, capture: &Capture, mut report: Stag
     let mut root = DVec3::ZERO;
     for frame in &state.frames {
         root = rotation::log_near(to_world * frame.root, root);
-        let mut pose = [0.0; 3 * N_JOINTS];
+        let mut pose = [0.0; N_POSE];
         for (j, slot) in pose.chunks_exact_mut(3).enumerate() {
             let angles = if j == 0 { root } else { frame.theta[j] };
             slot.copy_from_slice(&angles.as_vec3().to_array());

@@ -5,6 +5,7 @@ use glam::{DVec2, DVec3};
 use super::landmarks::{GROUPS, Part};
 use super::problem::{Problem, Scales};
 use super::state::State;
+use crate::body::joints::{HEAD, SPINE3};
 
 /// A swap must explain a group this much better (log-odds) before it is believed.
 const MARGIN: f64 = 3.0;
@@ -68,7 +69,7 @@ pub fn reread(problem: &mut Problem, state: &State, scales: &Scales, swapped: &m
 }
 
 /// Chest and head, which both look away where a face is hidden.
-const FACING_JOINTS: [usize; 2] = [9, 15];
+const FACING_JOINTS: [usize; 2] = [SPINE3, HEAD];
 /// Cosine between where they look and where the camera is: from here on the head is in front of nose and eyes.
 const HIDES_FACE: f64 = -0.3;
 

@@ -11,13 +11,14 @@ use rayon::prelude::*;
 
 use super::problem::{Problem, Scales};
 use super::state::{Frame, State};
+use crate::body::joints::{LEFT_ANKLE, LEFT_HIP, LEFT_KNEE, RIGHT_ANKLE, RIGHT_HIP, RIGHT_KNEE};
 
 /// Angles by which a thigh is raised, radians; the knee bends by twice as much, so that the sole stays level.
 const RAISED: [f64; 4] = [0.15, 0.3, 0.45, 0.6];
 /// Angles by which a leg is twisted, radians.
 const TWISTED: [f64; 6] = [-0.45, -0.3, -0.15, 0.15, 0.3, 0.45];
 /// Hip, knee and ankle: left, right.
-const LEGS: [[usize; 3]; 2] = [[1, 4, 7], [2, 5, 8]];
+const LEGS: [[usize; 3]; 2] = [[LEFT_HIP, LEFT_KNEE, LEFT_ANKLE], [RIGHT_HIP, RIGHT_KNEE, RIGHT_ANKLE]];
 /// Spread of a lifted thigh's bend, and of the knee's about twice that, radians.
 pub(super) const SIGMA: [f64; 2] = [0.4, 0.15];
 /// The same where the foot stands.
@@ -35,12 +36,12 @@ const AREA: f64 = 1e-4;
 /// Which of a frame's four bends (left hip and knee, right hip and knee) move a joint's x, and how.
 pub(super) fn shares(joint: usize) -> &'static [(usize, f64)] {
     match joint {
-        1 => &[(0, 1.0)],
-        4 => &[(1, 1.0)],
-        7 => &[(0, -1.0), (1, -1.0)],
-        2 => &[(2, 1.0)],
-        5 => &[(3, 1.0)],
-        8 => &[(2, -1.0), (3, -1.0)],
+        LEFT_HIP => &[(0, 1.0)],
+        LEFT_KNEE => &[(1, 1.0)],
+        LEFT_ANKLE => &[(0, -1.0), (1, -1.0)],
+        RIGHT_HIP => &[(2, 1.0)],
+        RIGHT_KNEE => &[(3, 1.0)],
+        RIGHT_ANKLE => &[(2, -1.0), (3, -1.0)],
         _ => &[],
     }
 }

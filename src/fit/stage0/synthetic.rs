@@ -11,6 +11,10 @@ use super::rig::{Point, Rig};
 use super::silhouette::{Grid, fill};
 use super::state::{Frame as Pose, Shared};
 use super::{Stage0Result, rotation};
+use crate::body::joints::{
+    HEAD, LEFT_ANKLE, LEFT_ELBOW, LEFT_HIP, LEFT_KNEE, LEFT_SHOULDER, RIGHT_ANKLE, RIGHT_ELBOW, RIGHT_HIP, RIGHT_KNEE,
+    RIGHT_SHOULDER, SPINE1,
+};
 use crate::body::{Body, N_JOINTS};
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
@@ -121,21 +125,21 @@ fn poses(how: &Difficulty) -> Vec<Pose> {
         let yaw = (how.start_degrees + how.turn_degrees * turned).to_radians();
         let swing = how.swing_degrees.to_radians();
         let mut theta = [DVec3::ZERO; N_JOINTS];
-        theta[1] = DVec3::new(0.03 * sway(1.0), 0.0, 0.14);
-        theta[2] = DVec3::new(0.03 * sway(2.0), 0.0, -0.13);
-        theta[4] = DVec3::new(0.05 + 0.02 * sway(3.0), 0.0, 0.0);
-        theta[5] = DVec3::new(0.06 + 0.02 * sway(4.0), 0.0, 0.0);
-        theta[7].z = -0.12;
-        theta[8].z = 0.11;
-        theta[3] = DVec3::new(0.02 * sway(1.5), 0.02 * sway(2.5), 0.0);
-        theta[15] = DVec3::new(0.06 * sway(0.5), 0.08 * sway(1.2), 0.02);
-        theta[16] = DVec3::new(0.08, 0.1 * sway(0.8), -0.78 + swing * sway(0.6));
-        theta[17] = DVec3::new(0.05, -0.1 * sway(1.1), 0.72 + swing * sway(0.3));
-        theta[18].y = -0.27 + 0.06 * sway(0.9);
-        theta[19].y = 0.2 + 0.06 * sway(1.4);
+        theta[LEFT_HIP] = DVec3::new(0.03 * sway(1.0), 0.0, 0.14);
+        theta[RIGHT_HIP] = DVec3::new(0.03 * sway(2.0), 0.0, -0.13);
+        theta[LEFT_KNEE] = DVec3::new(0.05 + 0.02 * sway(3.0), 0.0, 0.0);
+        theta[RIGHT_KNEE] = DVec3::new(0.06 + 0.02 * sway(4.0), 0.0, 0.0);
+        theta[LEFT_ANKLE].z = -0.12;
+        theta[RIGHT_ANKLE].z = 0.11;
+        theta[SPINE1] = DVec3::new(0.02 * sway(1.5), 0.02 * sway(2.5), 0.0);
+        theta[HEAD] = DVec3::new(0.06 * sway(0.5), 0.08 * sway(1.2), 0.02);
+        theta[LEFT_SHOULDER] = DVec3::new(0.08, 0.1 * sway(0.8), -0.78 + swing * sway(0.6));
+        theta[RIGHT_SHOULDER] = DVec3::new(0.05, -0.1 * sway(1.1), 0.72 + swing * sway(0.3));
+        theta[LEFT_ELBOW].y = -0.27 + 0.06 * sway(0.9);
+        theta[RIGHT_ELBOW].y = 0.2 + 0.06 * sway(1.4);
         for (side, lifted) in [[1, 2], [4, 5]].into_iter().enumerate() {
             let raised = if lifted.contains(&(t % 6)) { how.step_degrees.to_radians() } else { 0.0 };
-            for (joint, share) in [(1, -1.0), (4, 2.0), (7, -1.0)] {
+            for (joint, share) in [(LEFT_HIP, -1.0), (LEFT_KNEE, 2.0), (LEFT_ANKLE, -1.0)] {
                 theta[joint + side].x += share * raised;
             }
         }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::body::{Body, N_INFLUENCES, N_JOINTS};
+use crate::body::{Body, N_INFLUENCES, N_JOINTS, N_POSE};
 use crate::gpu::{Buffer, Gpu, Kernel, Recorder, linear_groups};
 
 #[repr(C)]
@@ -32,7 +32,7 @@ pub struct PoseAt<'a> {
 
 impl PoseAt<'_> {
     fn check(&self) {
-        assert!((self.frame + 1) * 3 * N_JOINTS <= self.poses.len(), "{}: frame {}", self.poses.label(), self.frame);
+        assert!((self.frame + 1) * N_POSE <= self.poses.len(), "{}: frame {}", self.poses.label(), self.frame);
         assert!((self.frame + 1) * 3 <= self.transl.len(), "{}: frame {}", self.transl.label(), self.frame);
     }
 }

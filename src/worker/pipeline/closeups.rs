@@ -5,6 +5,7 @@ use image::{Rgb, RgbImage};
 
 use super::PipelineError;
 use crate::avatar::{AvatarModel, Background, Posed, RenderSpec, Renderer, view_space};
+use crate::body::joints::{HEAD, LEFT_HAND, LEFT_WRIST, RIGHT_HAND, RIGHT_WRIST, SPINE2, SPINE3};
 use crate::camera::Camera;
 use crate::capture::Frame;
 use crate::fit::detail::square_around;
@@ -32,13 +33,12 @@ struct Part {
     best: Best,
 }
 
-/// In SMPL's joints: head; spine2 and spine3; wrists and hands.
 const PARTS: [Part; 5] = [
-    Part { name: "face", joints: &[15], best: Best::Front },
-    Part { name: "chest", joints: &[9, 6], best: Best::Front },
-    Part { name: "back", joints: &[9, 6], best: Best::Back },
-    Part { name: "left hand", joints: &[20, 22], best: Best::Near },
-    Part { name: "right hand", joints: &[21, 23], best: Best::Near },
+    Part { name: "face", joints: &[HEAD], best: Best::Front },
+    Part { name: "chest", joints: &[SPINE3, SPINE2], best: Best::Front },
+    Part { name: "back", joints: &[SPINE3, SPINE2], best: Best::Back },
+    Part { name: "left hand", joints: &[LEFT_WRIST, LEFT_HAND], best: Best::Near },
+    Part { name: "right hand", joints: &[RIGHT_WRIST, RIGHT_HAND], best: Best::Near },
 ];
 
 /// The clip's pictures.

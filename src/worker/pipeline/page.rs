@@ -12,6 +12,8 @@ use super::quality::Quality;
 use super::score::{FrameScore, spec_of};
 use super::{PipelineError, Stage};
 use crate::avatar::{Background, Place, Pose, RenderError, RenderSpec, Renderer};
+use crate::body::N_POSE;
+use crate::body::joints::{LEFT_SHOULDER, RIGHT_SHOULDER};
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::page::{Curve, Page, chart, heat_map, inline_jpeg, over, shrunk, strip};
@@ -106,10 +108,10 @@ fn turntable(renderer: &Renderer) -> Result<String, RenderError> {
 
 /// Upright before a camera whose y runs down, turned by `angle`, the arms a little down from the T-pose.
 fn standing(angle: f32) -> Pose {
-    let mut pose = [0.0; 72];
+    let mut pose = [0.0; N_POSE];
     // Half a turn about the axis between x and z.
     (pose[0], pose[2]) = (PI * (0.5 * angle).cos(), PI * (0.5 * angle).sin());
-    (pose[3 * 16 + 2], pose[3 * 17 + 2]) = (-1.0, 1.0);
+    (pose[3 * LEFT_SHOULDER + 2], pose[3 * RIGHT_SHOULDER + 2]) = (-1.0, 1.0);
     pose
 }
 

@@ -1,5 +1,7 @@
 //! Fits that are stopped and go on.
 
+use effigy::body::N_POSE;
+use effigy::body::joints::LEFT_ELBOW;
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, Inputs, StepReport};
 use effigy::npz::{Npz, NpzWriter};
 use effigy::worker::pipeline::{PipelineError, Progress, Stage, StopReason};
@@ -200,16 +202,16 @@ fn a_checkpoint_without_an_optimiser_is_gone_on_from_all_the_same() {
 
 #[test]
 fn a_resumed_stage_holds_joints_near_where_it_had_begun() {
-    const ELBOW_X: usize = 3 * 18;
+    const ELBOW_X: usize = 3 * LEFT_ELBOW;
     let Some(gpu) = gpu("a_resumed_stage_holds_joints_near_where_it_had_begun") else { return };
     let start = Start::new(&gpu, 12);
     // As after a first step; the left elbow, a hinge that does not bend there, began elsewhere in the second.
     let resumed = FitState { step: 1, ..start.state.clone() };
     let mut elsewhere = resumed.clone();
-    elsewhere.stage_poses.chunks_mut(72).for_each(|pose| pose[ELBOW_X] += 0.2);
+    elsewhere.stage_poses.chunks_mut(N_POSE).for_each(|pose| pose[ELBOW_X] += 0.2);
     let [near, far] = [resumed, elsewhere].map(|state| {
         let fitted = start.fit(&gpu, &short(FitConfig::draft(0)), state).0.unwrap();
-        fitted.poses.chunks(72).map(|pose| pose[ELBOW_X]).sum::<f32>() / fitted.n_frames() as f32
+        fitted.poses.chunks(N_POSE).map(|pose| pose[ELBOW_X]).sum::<f32>() / fitted.n_frames() as f32
     });
     assert!(far - near > 0.02, "{near}, {far} rad");
 }

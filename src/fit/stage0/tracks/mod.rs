@@ -15,6 +15,7 @@ use super::rig::{Point, Posed};
 use super::state::State;
 use super::{Candidate, Clock, Stage0Error, contour, sides};
 use crate::body::Body;
+use crate::body::joints::{LEFT_FOOT, LEFT_HAND, LEFT_WRIST, RIGHT_FOOT, RIGHT_HAND, RIGHT_WRIST};
 use crate::capture::Capture;
 use search::Track;
 
@@ -41,7 +42,7 @@ const REACH: f64 = 0.04;
 /// Surfaces this much behind the nearest are hidden by it, metres.
 const BEHIND: f64 = 0.08;
 /// Wrists, hands and toes are not posed here.
-const STIFF_JOINTS: [u32; 6] = [10, 11, 20, 21, 22, 23];
+const STIFF_JOINTS: [usize; 6] = [LEFT_FOOT, RIGHT_FOOT, LEFT_WRIST, RIGHT_WRIST, LEFT_HAND, RIGHT_HAND];
 
 /// A point as one frame shows it.
 pub struct Sighting {
@@ -144,8 +145,7 @@ impl Surface {
 }
 
 fn is_stiff(body: &Body, v: usize) -> bool {
-    let influences = body.lbs_joints[v].iter().zip(&body.lbs_weights[v]);
-    influences.filter(|(j, _)| STIFF_JOINTS.contains(j)).map(|(_, w)| w).sum::<f32>() > 0.3
+    body.weight_of(v, |joint| STIFF_JOINTS.contains(&(joint as usize))) > 0.3
 }
 
 /// Ties tracks to the vertices that they are seen at in the middle of their time.
