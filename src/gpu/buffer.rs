@@ -81,7 +81,9 @@ impl Gpu {
     }
 
     fn track<T>(&self, label: &str, raw: wgpu::Buffer, len: usize) -> Buffer<T> {
-        if strikes(if self.is_apart() { Point::Picture } else { Point::Memory }) {
+        let point = if self.is_apart() { Point::Picture } else { Point::Memory };
+        // What comes after a fault is lost with it.
+        if self.check().is_ok() && strikes(point) {
             self.run_out_of_memory(label);
         }
         self.memory.add(raw.size());
