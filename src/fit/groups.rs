@@ -42,9 +42,11 @@ impl Group {
         recorder.clear(&self.grads);
     }
 
-    /// Records a step of the given frames (`&[0]` for a group without frames).
+    /// Records a step of the given frames (`&[0]` for a group without frames), of each one, however often it is given: its
+    /// gradient is the sum of all times.
     pub fn step(&mut self, recorder: &mut Recorder<'_>, frames: &[usize], rate: f32) {
-        for &frame in frames {
+        let first_time = |&(nth, frame): &(usize, &usize)| !frames[..nth].contains(frame);
+        for (_, &frame) in frames.iter().enumerate().filter(first_time) {
             self.steps[frame] += 1;
             let range = frame * self.stride..(frame + 1) * self.stride;
             self.adam.step(recorder, &self.values, &self.grads, range, rate, self.steps[frame]);

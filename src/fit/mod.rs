@@ -86,7 +86,9 @@ pub fn run(
     if state.stage == Stage::Done {
         return Ok(state);
     }
-    let n_levels = inputs.config.phases().map(|p| p.level + 1).max().unwrap_or(1);
+    let FitConfig { geometry, texture, .. } = inputs.config;
+    let to_come = if state.stage == Stage::Geometry { &geometry.phases[..] } else { &[] };
+    let n_levels = to_come.iter().chain(&texture.phases).map(|p| p.level + 1).max().unwrap_or(1);
     let frames = frames::upload(gpu, inputs.capture, inputs.camera, n_levels, inputs.config.white());
     if state.run_transl.is_empty() {
         state.run_transl.clone_from(&state.transl);
@@ -155,6 +157,9 @@ fn run_stage(
     match go_on(begun, state) {
         Err(FitError::Checkpoint(error @ (NpzError::Missing(_) | NpzError::Array { .. }))) => {
             tracing::warn!(%error, "a checkpoint does not fit the stage, which goes on with optimisers that begin anew");
+            // Smoothed poses are where the stage began and what its optimiser has added since.
+            state.stage_poses.clone_from(&state.poses);
+            state.stage_transl.clone_from(&state.transl);
             go_on(now(state), state)?;
         }
         ended => ended?,

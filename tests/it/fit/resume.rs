@@ -195,9 +195,14 @@ fn a_checkpoint_without_an_optimiser_is_gone_on_from_all_the_same() {
     }
     writer.finish().unwrap();
     let resumed = state.resume(&path).unwrap().unwrap();
-    let mut stopper = Stopper::new(usize::MAX);
-    assert_eq!(run(resumed, &mut stopper).unwrap().stage, fit::Stage::Done);
-    assert_eq!(stopper.heard[0], 4);
+    let mut stopper = Stopper::new(1);
+    assert!(matches!(run(resumed.clone(), &mut stopper), Err(FitError::Stopped)));
+    assert_eq!(stopper.heard, [4]);
+    let next = state.resume(&path).unwrap().unwrap();
+    let between = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt();
+    let (so_far, step) = (between(&resumed.poses, &resumed.stage_poses), between(&next.poses, &resumed.poses));
+    assert!(so_far > 0.0 && step < 0.6 * so_far, "poses moved by {so_far} in three steps and then by {step} in one");
+    assert_eq!(run(next, &mut Stopper::new(usize::MAX)).unwrap().stage, fit::Stage::Done);
 }
 
 #[test]
