@@ -11,6 +11,8 @@ use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
 use effigy::worker::pipeline::{self, Observer, PipelineInput, Progress, StopReason};
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Deserialize;
+use serde::de::IntoDeserializer;
 
 #[derive(clap::Args)]
 pub struct Args {
@@ -30,8 +32,9 @@ pub struct Args {
     /// An npz with `poses` and `trans` or `pelvis`. Never taken from the folder: it is the answer to a question.
     #[arg(long)]
     poses: Option<PathBuf>,
-    #[arg(long, default_value = "standard")]
-    preset: String,
+    /// draft, standard, paper or silhouette-only.
+    #[arg(long, default_value = "standard", value_parser = preset)]
+    preset: Preset,
     #[arg(long)]
     max_frames: Option<u32>,
     #[arg(long)]
@@ -88,16 +91,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
+fn preset(name: &str) -> Result<Preset, serde::de::value::Error> {
+    Preset::deserialize(name.into_deserializer())
+}
+
 fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
-    let preset = match args.preset.as_str() {
-        "draft" => Preset::Draft,
-        "standard" => Preset::Standard,
-        "paper" => Preset::Paper,
-        "silhouette-only" => Preset::SilhouetteOnly,
-        other => bail!("preset {other:?}: expected draft, standard, paper or silhouette-only"),
-    };
     let options = JobOptions {
-        preset,
+        preset: args.preset,
         max_frames: args.max_frames,
         max_side_px: args.max_side_px,
         body: args.body.clone(),

@@ -11,7 +11,7 @@ use super::rig::{Point, Posed};
 use super::silhouette::{Field, Grid, fill};
 use super::state::{self, State};
 use super::steps::Looks;
-use super::{Candidate, Clock, Stage0Error, Stage0Report, sides};
+use super::{Candidate, RoundProgress, Stage0Error, Stage0Report};
 use crate::body::Body;
 use crate::body::joints::{
     HEAD, LEFT_ANKLE, LEFT_FOOT, LEFT_HAND, LEFT_HIP, LEFT_WRIST, PELVIS, RIGHT_ANKLE, RIGHT_FOOT, RIGHT_HAND,
@@ -49,7 +49,7 @@ pub fn refine(
     body: &Body,
     capture: &Capture,
     report: &mut Stage0Report,
-    clock: &mut Clock,
+    progress: &mut RoundProgress,
 ) -> Result<(), Stage0Error> {
     let masks: Vec<Option<Field>> = capture.frames.par_iter().map(mask_field).collect();
     let found = masks.iter().flatten().count();
@@ -57,7 +57,7 @@ pub fn refine(
         report.notes.push("masks: no frame has an edge to fit".to_owned());
         return Ok(());
     }
-    let height = sides::height_px(&best.problem, &best.state);
+    let height = best.problem.height_px(&best.state);
     // Where detectors see a joint is settled by then. Clothes hang lower than the body: could they talk keypoints out of where
     // the hips are, hips would follow the crotch of the trousers.
     best.problem.offsets = best.state.shared.offsets;
@@ -79,18 +79,18 @@ pub fn refine(
     let mut known = HashMap::new();
     for _ in 0..ROUNDS {
         outline(&best.state).attach(&mut best.problem, &best.state, &masks, &mut known);
-        best.descend(1e-3, clock)?;
+        best.descend(1e-3, progress)?;
         report.costs.push(best.cost);
     }
     if best.problem.anchor.is_none() && find_steps(best, &outline(&best.state), capture, &masks) {
         for _ in 0..ROUNDS {
             outline(&best.state).attach(&mut best.problem, &best.state, &masks, &mut known);
-            best.descend(1e-3, clock)?;
+            best.descend(1e-3, progress)?;
             report.costs.push(best.cost);
         }
     } else {
-        clock.round += ROUNDS;
-        if !clock.goes_on() {
+        progress.round += ROUNDS;
+        if !progress.goes_on() {
             return Err(Stage0Error::Stopped);
         }
     }
@@ -101,7 +101,7 @@ pub fn refine(
 /// Looks for steps, and puts them into the state. False where nobody steps.
 fn find_steps(best: &mut Candidate, outline: &Outline<'_>, capture: &Capture, masks: &[Option<Field>]) -> bool {
     let Candidate { problem, state, scales, .. } = &*best;
-    let height = sides::height_px(problem, state);
+    let height = problem.height_px(state);
     let camera = problem.camera.zoomed(state.shared.log_focal);
     let pairs = masks.par_iter().zip(&capture.frames);
     let cells: Vec<_> = pairs.map(|(mask, seen)| Some(mask_cells(seen, &mask.as_ref()?.grid))).collect();

@@ -257,7 +257,7 @@ impl Problem {
         let mut cost = 0.0;
         for (side, [hip, knee]) in frame.step.into_iter().enumerate() {
             let [of_hip, of_knee] = [0, 1].map(|part| Layout::STEP + 2 * side + part);
-            let [raised, level] = if self.steps.is_lifted(t, side) { steps::SIGMA } else { [steps::NO_SIGMA; 2] };
+            let [raised, level] = if self.steps.is_lifted(t, side) { steps::SIGMA } else { [steps::STANDING_SIGMA; 2] };
             let mut pull = |slopes: &[(usize, f64)], residual: f64, sigma: f64| {
                 let weight = 1.0 / (sigma * sigma);
                 cost += 0.5 * weight * residual * residual;

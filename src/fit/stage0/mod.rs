@@ -175,13 +175,14 @@ pub fn solve(
         + LASTING_ROUNDS
         + if options.use_pictures { tracks::rounds(capture) } else { 0 }
         + if options.use_masks { contour::MOST_ROUNDS } else { 0 };
-    let mut clock = Clock { progress, rounds, iterations: options.iterations.max(1), round: 0, step: 0 };
+    let mut progress =
+        RoundProgress { tell: progress, rounds, iterations: options.iterations.max(1), round: 0, step: 0 };
     for candidate in &mut candidates {
         for round in 0..ROUGH_ROUNDS {
             if round > 0 {
                 candidate.tighten(ROUGH_RHO);
             }
-            candidate.descend(1e-3, &mut clock)?;
+            candidate.descend(1e-3, &mut progress)?;
         }
     }
     let mut best = likeliest(candidates).ok_or(Stage0Error::NobodyFound)?;
@@ -190,17 +191,17 @@ pub fn solve(
     sides::ignore_hidden_faces(&mut best.problem, &best.state);
     for _ in 0..FINE_ROUNDS {
         best.tighten(FINE_RHO);
-        best.descend(1e-4, &mut clock)?;
+        best.descend(1e-4, &mut progress)?;
         report.costs.push(best.cost);
     }
-    offsets::settle(&mut best, &mut clock)?;
+    offsets::settle(&mut best, &mut progress)?;
     report.costs.push(best.cost);
-    best.bear_lasting_noise(&mut clock)?;
+    best.bear_lasting_noise(&mut progress)?;
     if options.use_masks {
-        contour::refine(&mut best, body, capture, &mut report, &mut clock)?;
+        contour::refine(&mut best, body, capture, &mut report, &mut progress)?;
     }
     if options.use_pictures {
-        report.tracked_points = tracks::refine(&mut best, body, capture, &mut clock)?;
+        report.tracked_points = tracks::refine(&mut best, body, capture, &mut progress)?;
         report.costs.push(best.cost);
     }
     if !best.cost.is_finite() {
@@ -240,34 +241,34 @@ impl Candidate {
     /// Trusts detections less whose errors last, and expects people to sway about a stance: most of all where the clip begins and
     /// ends, such errors look like a lean. Before masks and pictures are looked at, which then tell the more; given poses
     /// are held to anyway.
-    fn bear_lasting_noise(&mut self, clock: &mut Clock) -> Result<(), Stage0Error> {
+    fn bear_lasting_noise(&mut self, progress: &mut RoundProgress) -> Result<(), Stage0Error> {
         let lasting = noise::lasting(&self.problem, &self.state);
         if self.problem.anchor.is_some() || lasting <= self.scales.sigma_px {
-            clock.round += LASTING_ROUNDS;
+            progress.round += LASTING_ROUNDS;
             return Ok(());
         }
         self.scales.sigma_px = lasting;
         self.problem.stance = Some(self.problem.stance_of(&self.state));
-        self.descend(1e-4, clock)
+        self.descend(1e-4, progress)
     }
 
-    fn descend(&mut self, tolerance: f64, clock: &mut Clock) -> Result<(), Stage0Error> {
+    fn descend(&mut self, tolerance: f64, progress: &mut RoundProgress) -> Result<(), Stage0Error> {
         if self.problem.stance.is_some() {
             self.problem.stance = Some(self.problem.stance_of(&self.state));
         }
-        let iterations = clock.iterations;
-        let mut go_on = || clock.tick();
+        let iterations = progress.iterations;
+        let mut go_on = || progress.tick();
         let descent = minimise(&self.problem, self.state.clone(), &self.scales, iterations, tolerance, &mut go_on);
         (self.state, self.cost) = (descent.state, descent.cost);
-        clock.round += 1;
-        clock.step = 0;
+        progress.round += 1;
+        progress.step = 0;
         if descent.finished { Ok(()) } else { Err(Stage0Error::Stopped) }
     }
 }
 
 /// Tells how far the work is, and hears whether to go on.
-struct Clock<'a> {
-    progress: &'a mut dyn FnMut(f32) -> bool,
+struct RoundProgress<'a> {
+    tell: &'a mut dyn FnMut(f32) -> bool,
     rounds: usize,
     /// At most, a round.
     iterations: usize,
@@ -275,7 +276,7 @@ struct Clock<'a> {
     step: usize,
 }
 
-impl Clock<'_> {
+impl RoundProgress<'_> {
     fn tick(&mut self) -> bool {
         self.step += 1;
         self.goes_on()
@@ -283,6 +284,6 @@ impl Clock<'_> {
 
     fn goes_on(&mut self) -> bool {
         let rounds = self.round as f32 + self.step as f32 / self.iterations as f32;
-        (self.progress)(rounds / self.rounds as f32)
+        (self.tell)(rounds / self.rounds as f32)
     }
 }

@@ -32,14 +32,14 @@ const OVER_MEDIAN: f64 = 1.4826;
 /// σ of one coordinate from the median distance (that of a Rayleigh distribution is 1.1774 σ).
 pub fn of_each_frame(problem: &Problem, state: &State, scales: &Scales) -> f64 {
     let all: Vec<f64> = sides::distances(problem, state).into_iter().flatten().filter(|d| d.is_finite()).collect();
-    let height = sides::height_px(problem, state);
+    let height = problem.height_px(state);
     median(all).map_or(scales.sigma_px, |median| (FOLLOWED * median / 1.1774).clamp(LEAST * height, MOST * height))
 }
 
 /// σ of one coordinate of errors that neighbouring frames have in common, at the end of a descent that took them for new in each;
 /// 0 where there are none. Of elbows, wrists, knees and ankles: other parts' places on the body are fitted.
 pub fn lasting(problem: &Problem, state: &State) -> f64 {
-    let height = sides::height_px(problem, state);
+    let height = problem.height_px(state);
     let mut errors = sides::errors(problem, state);
     for (k, landmark) in problem.landmarks.iter().enumerate() {
         if !matches!(landmark.part, Part::Elbow | Part::Wrist | Part::Knee | Part::Ankle) {

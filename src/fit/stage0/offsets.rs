@@ -7,7 +7,7 @@
 //! where that costs next to nothing.
 
 use super::landmarks::Part;
-use super::{Candidate, Clock, Stage0Error, prior};
+use super::{Candidate, RoundProgress, Stage0Error, prior};
 
 /// Parts whose keypoints are read alike.
 const TOGETHER: [&[Part]; 2] = [&[Part::Hip, Part::MidHip], &[Part::Shoulder]];
@@ -19,17 +19,17 @@ const MARGIN: f64 = 4.0;
 pub const ROUNDS: usize = TOGETHER.len();
 
 /// Narrows the prior of the offsets that are not needed.
-pub fn settle(best: &mut Candidate, clock: &mut Clock<'_>) -> Result<(), Stage0Error> {
+pub fn settle(best: &mut Candidate, progress: &mut RoundProgress<'_>) -> Result<(), Stage0Error> {
     if best.problem.known_detector {
-        clock.round += ROUNDS;
-        return if clock.goes_on() { Ok(()) } else { Err(Stage0Error::Stopped) };
+        progress.round += ROUNDS;
+        return if progress.goes_on() { Ok(()) } else { Err(Stage0Error::Stopped) };
     }
     for parts in TOGETHER {
         let (state, cost, sigma) = (best.state.clone(), best.cost, best.problem.offset_sigma);
         for slot in parts.iter().filter_map(|part| part.offset()) {
             best.problem.offset_sigma[slot] = prior::NO_OFFSET_SIGMA;
         }
-        best.descend(1e-4, clock)?;
+        best.descend(1e-4, progress)?;
         if best.cost > cost + MARGIN {
             (best.state, best.cost, best.problem.offset_sigma) = (state, cost, sigma);
         } else {

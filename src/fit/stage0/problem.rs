@@ -23,6 +23,9 @@ pub struct Pinhole {
 /// Nearest depth that still counts as in front, metres.
 pub const NEAR: f64 = 0.05;
 
+/// A nominal height, metres, whoever is filmed: what is told in parts of the height in pixels needs no more than its size.
+const NOMINAL_HEIGHT_M: f64 = 1.7;
+
 impl Pinhole {
     pub fn zoomed(&self, log_focal: f64) -> Self {
         let zoom = log_focal.exp();
@@ -224,6 +227,12 @@ impl Problem {
         let posed = self.rig.pose(frame, shared);
         let look = Look { t, posed: &posed, shared, camera: &camera, scales };
         self.keypoints(&look, &mut Rows::default(), None) + self.pose_prior(t, frame, None)
+    }
+
+    /// A person's height in pixels, as far away as the state has this one.
+    pub fn height_px(&self, state: &State) -> f64 {
+        let depths: f64 = state.frames.iter().map(|f| f.pelvis.z.max(0.1)).sum::<f64>() / state.frames.len() as f64;
+        NOMINAL_HEIGHT_M * self.camera.zoomed(state.shared.log_focal).fy / depths
     }
 
     /// Where every landmark of a posed body appears.

@@ -101,7 +101,7 @@ pub fn mean_shape(n_betas: usize) -> Shared {
 /// Wide scales for a first descent.
 pub fn rough_scales(problem: &Problem, state: &State) -> Scales {
     Scales {
-        sigma_px: 0.025 * sides::height_px(problem, state),
+        sigma_px: 0.025 * problem.height_px(state),
         rho: 3.0,
         contour_weight: 0.0,
         contour_outside_px: 1.0,

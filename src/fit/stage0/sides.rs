@@ -31,12 +31,6 @@ pub fn distances(problem: &Problem, state: &State) -> Vec<Vec<f64>> {
     errors(problem, state).into_iter().map(of_frame).collect()
 }
 
-/// The person's height in pixels, as the state has it.
-pub fn height_px(problem: &Problem, state: &State) -> f64 {
-    let depths: f64 = state.frames.iter().map(|f| f.pelvis.z.max(0.1)).sum::<f64>() / state.frames.len() as f64;
-    1.7 * problem.camera.zoomed(state.shared.log_focal).fy / depths
-}
-
 /// Swaps the detections of limbs (or of the face) that fit far better so. `swapped [N]`: the groups that differ
 /// from the upload, kept up to date.
 pub fn reread(problem: &mut Problem, state: &State, scales: &Scales, swapped: &mut [[bool; 3]]) {

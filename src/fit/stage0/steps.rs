@@ -22,7 +22,7 @@ const LEGS: [[usize; 3]; 2] = [[LEFT_HIP, LEFT_KNEE, LEFT_ANKLE], [RIGHT_HIP, RI
 /// Spread of a lifted thigh's bend, and of the knee's about twice that, radians.
 pub(super) const SIGMA: [f64; 2] = [0.4, 0.15];
 /// The same where the foot stands.
-pub(super) const NO_SIGMA: f64 = 1e-4;
+pub(super) const STANDING_SIGMA: f64 = 1e-4;
 /// What must be gained, nats: by a lifted foot, by a twisted leg.
 const MARGIN: f64 = 12.0;
 /// Who steps round has a foot off the floor in at least this part of the frames.

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::rig::{Point, Posed};
 use super::state::State;
-use super::{Candidate, Clock, Stage0Error, contour, sides};
+use super::{Candidate, RoundProgress, Stage0Error, contour};
 use crate::body::Body;
 use crate::body::joints::{LEFT_FOOT, LEFT_HAND, LEFT_WRIST, RIGHT_FOOT, RIGHT_HAND, RIGHT_WRIST};
 use crate::capture::Capture;
@@ -70,10 +70,10 @@ pub fn refine(
     best: &mut Candidate,
     body: &Body,
     capture: &Capture,
-    clock: &mut Clock<'_>,
+    progress: &mut RoundProgress<'_>,
 ) -> Result<usize, Stage0Error> {
-    let height = sides::height_px(&best.problem, &best.state);
-    let tracks = search::find(capture, height, || clock.goes_on()).ok_or(Stage0Error::Stopped)?;
+    let height = best.problem.height_px(&best.state);
+    let tracks = search::find(capture, height, || progress.goes_on()).ok_or(Stage0Error::Stopped)?;
     let attached = attach(best, body, &tracks, height);
     let found = attached.points.len();
     if found == 0 {
@@ -85,7 +85,7 @@ pub fn refine(
     best.problem.tracks = attached;
     for _ in 0..ROUNDS {
         best.scales.track_px = noise(best, height);
-        best.descend(1e-4, clock)?;
+        best.descend(1e-4, progress)?;
     }
     Ok(found)
 }
