@@ -59,7 +59,7 @@ impl DeviceEngine {
 }
 
 /// A graphics processor that was lost comes back within seconds or needs somebody to look after it; a service that goes on without,
-/// a hundred times slower, would tell nobody.
+/// many times slower, would tell nobody.
 fn suits(info: &DeviceInfo, had_hardware: bool) -> Result<(), GpuError> {
     if had_hardware && info.software {
         let reason = "it computes on the CPU, and this worker had a graphics processor".into();
