@@ -130,7 +130,7 @@ async function watch(id) {
   $("progress").value = 0;
   $("job").hidden = false;
   $("job-id").textContent = id;
-  let last = null;
+  const seen = { last: null }; // the last event's id, of all streams together
   let listed = null; // the state that the list was last asked for with: it may not know this job yet
   while (!signal.aborted) {
     try {
@@ -139,7 +139,7 @@ async function watch(id) {
       if (job.state !== listed) list();
       listed = job.state;
       if (ENDED.includes(job.state)) return;
-      last = await follow(id, last, signal);
+      await follow(id, seen, signal);
     } catch (problem) {
       if (signal.aborted) return;
       show(problem, $("job-problem"));
@@ -149,29 +149,30 @@ async function watch(id) {
   }
 }
 
-// Reads the event stream until it ends; fetch instead of EventSource, which cannot send a key.
-async function follow(id, last, signal) {
-  const headers = last ? { "last-event-id": last } : {};
+// Reads the event stream until it ends; fetch instead of EventSource, which cannot send a key. A stream that breaks off throws:
+// the next one goes on after the last event of this one.
+async function follow(id, seen, signal) {
+  const headers = seen.last ? { "last-event-id": seen.last } : {};
   const response = await call(`v1/jobs/${id}/events`, { headers, signal });
-  if (response.status === 204) return last;
+  if (response.status === 204) return;
   const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
   let text = "";
   for (;;) {
     const { value, done } = await reader.read();
-    if (done) return last;
+    if (done) return;
     text += value;
     const events = text.split("\n\n");
     text = events.pop();
     for (const event of events) {
       const field = (name) => event.split("\n").find((line) => line.startsWith(`${name}: `))?.slice(name.length + 2);
       if (!field("data")) continue;
-      last = field("id") ?? last;
+      seen.last = field("id") ?? seen.last;
       const data = JSON.parse(field("data"));
       if (field("event") === "preview") {
         preview(data.url, signal);
         continue;
       }
-      if (data.state && ENDED.includes(data.state)) return last;
+      if (data.state && ENDED.includes(data.state)) return;
       // Whoever asks for an end hears of progress until the worker has heard of it too.
       const running = $("state").textContent === "canceling" ? "canceling" : "running";
       draw(data.state ? { state: data.state } : { state: running, ...data });
