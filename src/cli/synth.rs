@@ -62,6 +62,9 @@ pub struct Args {
     /// Part of the mean speed by which the turn is faster and slower.
     #[arg(long, default_value_t = Filming::default().speed_change)]
     speed_change: f64,
+    /// Degrees by which the arms hang below the horizontal: 49 unless given; at 75 the hands are at the thighs.
+    #[arg(long, default_value_t = Filming::default().arms_down_degrees, hide_default_value = true)]
+    arms_down: f64,
     /// Degrees by which the arms move up and down.
     #[arg(long, default_value_t = Filming::default().arm_swing_degrees)]
     arm_swing: f64,
@@ -105,6 +108,7 @@ pub fn run(args: Args) -> Result<()> {
             tilt_degrees: args.tilt,
             turns: args.turns,
             speed_change: args.speed_change,
+            arms_down_degrees: args.arms_down,
             arm_swing_degrees: args.arm_swing,
             step_degrees: args.step,
         },

@@ -14,7 +14,7 @@ const fn take(name: &'static str, what: &'static str, film: fn(&mut SynthOptions
 }
 
 /// The plain one first: all others are compared with it.
-pub const TAKES: [Take; 13] = [
+pub const TAKES: [Take; 14] = [
     take("plain", "a level camera some way off, one steady turn", |_| {}),
     take("tilted", "the camera looks down by 15°", |o| o.filming.tilt_degrees = 15.0),
     take("phone", "a phone held close: wide lens, upright picture, looking down by 15°", |o| {
@@ -27,6 +27,7 @@ pub const TAKES: [Take; 13] = [
         (o.filming.turns, o.filming.speed_change) = (1.5, 0.6);
     }),
     take("arms", "arms that move by 30°", |o| o.filming.arm_swing_degrees = 30.0),
+    take("hanging", "arms that hang at the sides", |o| o.filming.arms_down_degrees = 75.0),
     // As slowly as people do.
     take("steps", "turned by small steps, 240 frames", |o| {
         (o.filming.step_degrees, o.frames) = (20.0, 240);

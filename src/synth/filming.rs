@@ -5,6 +5,9 @@ use glam::{DQuat, DVec3};
 use super::SynthError;
 use crate::camera::Camera;
 
+/// Shoulders of an A-pose, radians below the T-pose.
+const A_POSE: f64 = 0.85;
+
 /// Lens, place and motion. The default: a level camera some way off, one steady turn with quiet arms.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Filming {
@@ -20,6 +23,8 @@ pub struct Filming {
     pub turns: f64,
     /// Part of the mean speed by which the turn is faster and slower
     pub speed_change: f64,
+    /// Degrees by which the arms hang below the horizontal: at 0 they are stretched out, at 75 the hands are at the thighs
+    pub arms_down_degrees: f64,
     /// Degrees by which the arms move up and down
     pub arm_swing_degrees: f64,
     /// Degrees by which a thigh is raised with each step of the turn; at 0 the legs stand and the floor turns
@@ -35,6 +40,7 @@ impl Default for Filming {
             tilt_degrees: 0.0,
             turns: 1.0,
             speed_change: 0.0,
+            arms_down_degrees: A_POSE.to_degrees(),
             arm_swing_degrees: 0.0,
             step_degrees: 0.0,
         }
@@ -50,6 +56,7 @@ impl Filming {
             ("a tilt", self.tilt_degrees, -45.0..=45.0),
             ("turns", self.turns, 0.0..=20.0),
             ("a change of speed", self.speed_change, 0.0..=0.95),
+            ("arms that hang", self.arms_down_degrees, 0.0..=80.0),
             ("a swing of the arms", self.arm_swing_degrees, 0.0..=60.0),
             ("a raised thigh", self.step_degrees, 0.0..=60.0),
         ];

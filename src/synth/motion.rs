@@ -10,9 +10,6 @@ use rand_pcg::Pcg64;
 use super::filming::Filming;
 use crate::avatar::Pose;
 
-/// Shoulders of an A-pose, radians below the T-pose.
-const ARMS_DOWN: f32 = 0.85;
-
 /// Rotations of some joints.
 type Bends<'a> = &'a [(usize, [f32; 3])];
 
@@ -86,10 +83,11 @@ pub(super) fn turn(n: usize, filming: &Filming, rng: &mut Pcg64) -> (Vec<Pose>, 
         let wave = |k: usize, turns: f32| (TAU * turns * at + phases[k]).sin();
         let mut pose = [0.0; 72];
         let facing = filming.facing(f64::from(at));
+        let down = filming.arms_down_degrees.to_radians() as f32;
         let swing = (filming.arm_swing_degrees as f32).to_radians() * (2.0 * TAU * at).sin();
         set(&mut pose, 0, root(filming, facing as f32));
-        set(&mut pose, 16, [0.03 * wave(0, 2.0), 0.04 * wave(1, 1.0), -ARMS_DOWN + swing + 0.05 * wave(2, 1.0)]);
-        set(&mut pose, 17, [0.03 * wave(3, 2.0), 0.04 * wave(4, 1.0), ARMS_DOWN - swing + 0.05 * wave(5, 1.0)]);
+        set(&mut pose, 16, [0.03 * wave(0, 2.0), 0.04 * wave(1, 1.0), -down + swing + 0.05 * wave(2, 1.0)]);
+        set(&mut pose, 17, [0.03 * wave(3, 2.0), 0.04 * wave(4, 1.0), down - swing + 0.05 * wave(5, 1.0)]);
         set(&mut pose, 18, [0.0, -0.15 - 0.05 * wave(0, 1.0), 0.0]);
         set(&mut pose, 19, [0.0, 0.15 + 0.05 * wave(4, 1.0), 0.0]);
         let steps = Steps::of(filming, facing);
