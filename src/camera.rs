@@ -1,4 +1,6 @@
-//! The pinhole camera that clips, operators, avatars and requests share.
+//! The pinhole camera that clips, operators, avatars and requests share, and where it sees a place.
+//!
+//! The operators have this arithmetic once more, in the precision of their parameters and with its gradients.
 
 /// A pinhole camera in OpenCV's axes; pixel centres at half integers. Frames of a [`Capture`](crate::capture::Capture) are
 /// undistorted.
@@ -36,6 +38,44 @@ impl Camera {
         self.width as usize * self.height as usize
     }
 
+    /// From the world to camera space, metres.
+    pub fn view(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let row = |k: usize| self.rotation[3 * k] * x + self.rotation[3 * k + 1] * y + self.rotation[3 * k + 2] * z;
+        [0, 1, 2].map(|k| row(k) + self.translation[k])
+    }
+
+    /// The pixel of a place in camera space, without the lens. What lies behind the camera is for the caller to leave out.
+    pub fn project(&self, [x, y, z]: [f64; 3]) -> [f64; 2] {
+        [self.fx * x / z + self.cx, self.fy * y / z + self.cy]
+    }
+
+    /// The place in camera space, at depth 1, that [`Camera::project`] puts on the pixel `[x, y]`.
+    pub fn ray(&self, [x, y]: [f64; 2]) -> [f64; 3] {
+        [(x - self.cx) / self.fx, (y - self.cy) / self.fy, 1.0]
+    }
+
+    pub fn has_lens(&self) -> bool {
+        self.distortion != [0.0; 5]
+    }
+
+    /// Where the lens puts the place `[u, v]` at depth 1. OpenCV's model: with r² = u² + v² and radial = 1 + k1 r² + k2 r⁴ + k3 r⁶,
+    /// `u' = u·radial + 2 p1 u v + p2 (r² + 2u²)`, `v' = v·radial + p1 (r² + 2v²) + 2 p2 u v`.
+    pub fn distorted(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+        let [k1, k2, p1, p2, k3] = self.distortion;
+        let r2 = u * u + v * v;
+        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+        [
+            u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u),
+            v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v,
+        ]
+    }
+
+    /// d/dr of `r·radial`, of which the lens makes `r`, at r² = `r2`: where it is not positive, the image folds over.
+    pub fn radial_growth(&self, r2: f64) -> f64 {
+        let [k1, k2, _, _, k3] = self.distortion;
+        1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3))
+    }
+
     /// The camera of the part of its image that starts at pixel (`x`, `y`); both may be negative.
     pub fn cropped(&self, x: i32, y: i32, width: u32, height: u32) -> Camera {
         Camera { width, height, cx: self.cx - f64::from(x), cy: self.cy - f64::from(y), ..self.clone() }
@@ -58,10 +98,32 @@ mod tests {
         let camera: Camera =
             serde_json::from_str(r#"{"width": 640, "height": 480, "fx": 500, "fy": 510, "cx": 321, "cy": 242}"#)
                 .unwrap();
-        let pixel = |c: &Camera| [c.fx * 0.1 + c.cx, c.fy * -0.2 + c.cy];
+        let pixel = |c: &Camera| c.project([0.1, -0.2, 1.0]);
         let [u, v] = pixel(&camera);
         assert_eq!(pixel(&camera.cropped(100, -20, 64, 64)), [u - 100.0, v + 20.0]);
         let [a, b] = pixel(&camera.scaled(320, 120));
         assert!((a - u / 2.0).abs() < 1e-12 && (b - v / 4.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_place_of_the_world_is_turned_moved_and_projected() {
+        // A quarter turn about z: the world's x is the camera's y.
+        let rotation = [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+        let camera =
+            Camera { rotation, translation: [0.5, 0.0, 1.0], ..Camera::pinhole(64, 48, [40.0, 50.0, 32.0, 24.0]) };
+        let seen = camera.view([2.0, 1.0, 3.0]);
+        assert_eq!(seen, [-0.5, 2.0, 4.0]);
+        assert_eq!(camera.project(seen), [32.0 - 5.0, 24.0 + 25.0]);
+        assert_eq!(camera.ray([27.0, 49.0]), seen.map(|x| x / 4.0));
+    }
+
+    #[test]
+    fn the_radial_growth_is_the_slope_of_what_the_lens_does_to_a_radius() {
+        let distortion = [-0.3, 0.05, 0.0, 0.0, 0.02];
+        let lens = Camera { distortion, ..Camera::pinhole(64, 48, [40.0, 40.0, 32.0, 24.0]) };
+        assert!(lens.has_lens());
+        let (r, step) = (0.6, 1e-6);
+        let [[high, _], [low, _]] = [r + step, r - step].map(|r| lens.distorted([r, 0.0]));
+        assert!((lens.radial_growth(r * r) - (high - low) / (2.0 * step)).abs() < 1e-8);
     }
 }

@@ -251,8 +251,7 @@ impl Renderer {
 
     /// How often the texture must be asked for a picture of the person at the pelvis's distance.
     fn shading(&self, camera: &Camera, posed: &Posed<f32>) -> Shading {
-        let pelvis = glam::DVec3::from_array(posed.joints[0].map(f64::from));
-        let distance = glam::DVec3::from_slice(&camera.rotation[6..]).dot(pelvis) + camera.translation[2];
+        let [_, _, distance] = camera.view(posed.joints[0].map(f64::from));
         let pixel_m = distance / camera.fx.max(camera.fy);
         if pixel_m > CELLS_A_PIXEL * self.cell_m { Shading::Samples } else { Shading::Surfaces }
     }

@@ -3,7 +3,6 @@
 
 use std::sync::Arc;
 
-use glam::{DMat3, DVec3};
 use image::{GrayImage, Luma, Rgba, RgbaImage};
 
 use crate::camera::Camera;
@@ -248,41 +247,33 @@ impl Tracer {
 /// World to camera space, then the lens: a distorted camera sees each point where the undistorted one sees the result.
 /// Points outside the lens's field, where its polynomial turns back, end behind the camera and are not drawn.
 pub fn view_space(vertices: &[[f32; 3]], camera: &Camera) -> Vec<[f32; 3]> {
-    let rotation = DMat3::from_cols_array(&camera.rotation).transpose();
-    let translation = DVec3::from(camera.translation);
-    let [k1, k2, p1, p2, k3] = camera.distortion;
-    let distorted = camera.distortion.iter().any(|k| *k != 0.0);
-    let limit = if distorted { field_limit(k1, k2, k3) } else { f64::INFINITY };
+    let limit = if camera.has_lens() { field_limit(camera) } else { f64::INFINITY };
     let view = |v: &[f32; 3]| {
-        let p = rotation * DVec3::from(v.map(f64::from)) + translation;
-        if !distorted || p.z <= NEAR {
-            return p.as_vec3().to_array();
+        let [x, y, z] = camera.view(v.map(f64::from));
+        if !camera.has_lens() || z <= NEAR {
+            return [x, y, z].map(|c| c as f32);
         }
-        let (x, y) = (p.x / p.z, p.y / p.z);
-        let r2 = x * x + y * y;
-        if r2 > limit {
+        let [x, y] = [x / z, y / z];
+        if x * x + y * y > limit {
             return [0.0, 0.0, -1.0];
         }
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-        let xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x);
-        let yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y;
-        [(xd * p.z) as f32, (yd * p.z) as f32, p.z as f32]
+        let [x, y] = camera.distorted([x, y]);
+        [x * z, y * z, z].map(|c| c as f32)
     };
     vertices.iter().map(view).collect()
 }
 
-/// The squared radius up to which `r (1 + k₁r² + k₂r⁴ + k₃r⁶)` grows.
-fn field_limit(k1: f64, k2: f64, k3: f64) -> f64 {
-    let slope = |r2: f64| 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3));
+/// The squared radius up to which the lens keeps the order of points.
+fn field_limit(camera: &Camera) -> f64 {
     let steps = (1..=1000).map(|i| (i as f64 * 0.01).powi(2));
-    steps.take_while(|&r2| slope(r2) > 0.0).last().unwrap_or(0.0)
+    steps.take_while(|&r2| camera.radial_growth(r2) > 0.0).last().unwrap_or(0.0)
 }
 
 /// Where the vertices are on the image; `None` behind the near plane.
 fn screen(view: &[[f32; 3]], camera: &Camera) -> Vec<Option<[f64; 2]>> {
     let point = |v: &[f32; 3]| {
-        let [x, y, z] = v.map(f64::from);
-        (z > NEAR).then(|| [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+        let place = v.map(f64::from);
+        (place[2] > NEAR).then(|| camera.project(place))
     };
     view.iter().map(point).collect()
 }

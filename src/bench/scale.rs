@@ -68,10 +68,7 @@ fn fragments(corners: [[f64; 2]; 3], camera: &Camera, reach: f64) -> [u64; 2] {
 
 /// Fragments of all faces, inside and within reach; `view [V, 3]` in camera space, before the camera.
 pub fn count_fragments(view: &[f32], faces: &[[u32; 3]], camera: &Camera, reach: f64) -> [f64; 2] {
-    let point = |v: u32| {
-        let [x, y, z] = [0, 1, 2].map(|k| f64::from(view[3 * v as usize + k]));
-        [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]
-    };
+    let point = |v: u32| camera.project([0, 1, 2].map(|k| f64::from(view[3 * v as usize + k])));
     let mut sum = [0; 2];
     for face in faces {
         let found = fragments(face.map(point), camera, reach);

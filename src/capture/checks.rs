@@ -255,7 +255,7 @@ impl PoseCheck {
         let place = poses.trans[frame].map(f64::from);
         let on = match camera {
             None => place[2] > 0.0,
-            Some(camera) => project(camera, place).is_some_and(|(x, y)| {
+            Some(camera) => pixel(camera, place).is_some_and(|[x, y]| {
                 let slack = 0.5 * f64::from(bounds.width().max(bounds.height()));
                 let within = |value: f64, low: u32, high: u32| {
                     (f64::from(low) - slack..=f64::from(high) + slack).contains(&value)
@@ -283,12 +283,9 @@ impl PoseCheck {
 }
 
 /// Pixel of a place in the world, lens distortion left out; `None` behind the camera.
-fn project(camera: &Camera, place: [f64; 3]) -> Option<(f64, f64)> {
-    let row = |i: usize| -> f64 {
-        (0..3).map(|k| camera.rotation[3 * i + k] * place[k]).sum::<f64>() + camera.translation[i]
-    };
-    let (x, y, z) = (row(0), row(1), row(2));
-    (z > 0.0).then(|| (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy))
+fn pixel(camera: &Camera, place: [f64; 3]) -> Option<[f64; 2]> {
+    let seen = camera.view(place);
+    (seen[2] > 0.0).then(|| camera.project(seen))
 }
 
 /// Whether there is foreground within 2 % of the image's longer side of a point.

@@ -1,18 +1,10 @@
-//! Lens distortion, OpenCV's model.
+//! The way back through a lens, and how far it goes.
 
 use super::{BadInput, Part};
 use crate::camera::Camera;
 
-/// OpenCV's model on normalised coordinates: with r² = u² + v², radial = 1 + k1 r² + k2 r⁴ + k3 r⁶,
-/// `u' = u·radial + 2 p1 u v + p2 (r² + 2u²)`, `v' = v·radial + p1 (r² + 2v²) + 2 p2 u v`.
-pub(super) fn distort([k1, k2, p1, p2, k3]: &[f64; 5], u: f64, v: f64) -> (f64, f64) {
-    let r2 = u * u + v * v;
-    let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-    (u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u), v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v)
-}
-
-/// The inverse of [`distort`] by damped Newton steps with a numeric Jacobian.
-pub(super) fn undistort(coefficients: &[f64; 5], u: f64, v: f64, valid_radius: f64) -> Option<(f64, f64)> {
+/// The inverse of [`Camera::distorted`] by damped Newton steps with a numeric Jacobian.
+pub(super) fn undistort(lens: &Camera, [u, v]: [f64; 2], valid_radius: f64) -> Option<[f64; 2]> {
     const STEP: f64 = 1e-6;
     let (mut x, mut y) = (u, v);
     // Far points start on the border of where the inverse exists.
@@ -21,13 +13,13 @@ pub(super) fn undistort(coefficients: &[f64; 5], u: f64, v: f64, valid_radius: f
         (x, y) = (x * valid_radius / radius, y * valid_radius / radius);
     }
     for _ in 0..50 {
-        let (a, b) = distort(coefficients, x, y);
+        let [a, b] = lens.distorted([x, y]);
         let (eu, ev) = (a - u, b - v);
         if eu.hypot(ev) < 1e-10 {
-            return (x.hypot(y) <= valid_radius * (1.0 + 1e-9)).then_some((x, y));
+            return (x.hypot(y) <= valid_radius * (1.0 + 1e-9)).then_some([x, y]);
         }
-        let (ax, bx) = distort(coefficients, x + STEP, y);
-        let (ay, by) = distort(coefficients, x, y + STEP);
+        let [ax, bx] = lens.distorted([x + STEP, y]);
+        let [ay, by] = lens.distorted([x, y + STEP]);
         let (jxx, jyx, jxy, jyy) = ((ax - a) / STEP, (bx - b) / STEP, (ay - a) / STEP, (by - b) / STEP);
         let determinant = jxx * jyy - jxy * jyx;
         if determinant.abs() < 1e-9 {
@@ -44,16 +36,12 @@ pub(super) fn undistort(coefficients: &[f64; 5], u: f64, v: f64, valid_radius: f
 /// Up to which normalised radius the radial part grows. It must reach most of the way to the image's corners: a
 /// polynomial that turns back earlier is no calibration of these images.
 pub(super) fn valid_radius(camera: &Camera) -> Result<f64, BadInput> {
-    let [k1, k2, _, _, k3] = camera.distortion;
     let far = |centre: f64, side: u32, focal: f64| centre.abs().max((f64::from(side) - centre).abs()) / focal;
     let corner = far(camera.cx, camera.width, camera.fx).hypot(far(camera.cy, camera.height, camera.fy));
     let most = 2.0 * corner;
     for i in 1..=512 {
         let r = most * f64::from(i) / 512.0;
-        let r2 = r * r;
-        // d/dr of r (1 + k1 r² + k2 r⁴ + k3 r⁶)
-        let growth = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3));
-        if growth <= 0.05 {
+        if camera.radial_growth(r * r) <= 0.05 {
             if r < 0.7 * corner {
                 let message = "the distortion folds the image over within its borders";
                 return Err(BadInput::new(Part::Camera, message, "k1, k2, p1, p2, k3 of OpenCV's model"));
@@ -70,13 +58,14 @@ mod tests {
 
     #[test]
     fn the_inverse_inverts_within_the_valid_radius_and_refuses_beyond() {
-        let coefficients = [-0.3, 0.05, 0.001, -0.002, 0.0];
+        let distortion = [-0.3, 0.05, 0.001, -0.002, 0.0];
+        let lens = Camera { distortion, ..Camera::pinhole(640, 480, [500.0, 500.0, 320.0, 240.0]) };
         for i in 0..100 {
             let (u, v) = (f64::from(i % 10) / 10.0 - 0.45, f64::from(i / 10) / 10.0 - 0.45);
-            let (a, b) = distort(&coefficients, u, v);
-            let (x, y) = undistort(&coefficients, a, b, 0.9).unwrap();
+            let distorted = lens.distorted([u, v]);
+            let [x, y] = undistort(&lens, distorted, 0.9).unwrap();
             assert!((x - u).abs() < 1e-8 && (y - v).abs() < 1e-8, "({u}, {v}) came back as ({x}, {y})");
         }
-        assert_eq!(undistort(&coefficients, 5.0, 5.0, 0.9), None);
+        assert_eq!(undistort(&lens, [5.0, 5.0], 0.9), None);
     }
 }

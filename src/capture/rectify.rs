@@ -1,7 +1,7 @@
 //! From the uploaded images to those of the capture: lens distortion removed, scaled down, cropped.
 
 use super::BadInput;
-use super::lens::{distort, undistort, valid_radius};
+use super::lens::{undistort, valid_radius};
 use super::source::Picture;
 use crate::camera::Camera;
 
@@ -50,15 +50,10 @@ pub(super) struct Rectify {
 impl Rectify {
     pub fn new(uploaded: Camera, max_side_px: u32) -> Result<Self, BadInput> {
         let scale = (f64::from(max_side_px) / f64::from(uploaded.width.max(uploaded.height))).min(1.0);
-        let mut camera = uploaded.clone();
-        camera.width = ((f64::from(uploaded.width) * scale).round() as u32).max(1);
-        camera.height = ((f64::from(uploaded.height) * scale).round() as u32).max(1);
-        let sx = f64::from(camera.width) / f64::from(uploaded.width);
-        let sy = f64::from(camera.height) / f64::from(uploaded.height);
-        (camera.fx, camera.cx) = (uploaded.fx * sx, uploaded.cx * sx);
-        (camera.fy, camera.cy) = (uploaded.fy * sy, uploaded.cy * sy);
-        camera.distortion = [0.0; 5];
-        let distorted = uploaded.distortion != [0.0; 5];
+        let [width, height] =
+            [uploaded.width, uploaded.height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
+        let camera = Camera { distortion: [0.0; 5], ..uploaded.scaled(width, height) };
+        let distorted = uploaded.has_lens();
         let valid_radius = valid_radius(&uploaded)?;
         Ok(Self { uploaded, camera, valid_radius, distorted, scaled: scale < 1.0 })
     }
@@ -66,20 +61,19 @@ impl Rectify {
     /// From a rectified position to the one in the scaled but still distorted image; `None` beyond where the
     /// distortion is meaningful.
     fn distorted_from_rectified(&self, x: f64, y: f64) -> Option<(f64, f64)> {
-        let (u, v) = ((x - self.camera.cx) / self.camera.fx, (y - self.camera.cy) / self.camera.fy);
+        let [u, v, _] = self.camera.ray([x, y]);
         if u.hypot(v) > self.valid_radius {
             return None;
         }
-        let (u, v) = distort(&self.uploaded.distortion, u, v);
-        Some((u * self.camera.fx + self.camera.cx, v * self.camera.fy + self.camera.cy))
+        let [u, v] = self.uploaded.distorted([u, v]);
+        Some(self.camera.project([u, v, 1.0]).into())
     }
 
     /// From an uploaded position to the rectified one; `None` where there is none.
     pub fn rectified_from_uploaded(&self, x: f64, y: f64) -> Option<(f64, f64)> {
-        let (u, v) = ((x - self.uploaded.cx) / self.uploaded.fx, (y - self.uploaded.cy) / self.uploaded.fy);
-        let distortion = &self.uploaded.distortion;
-        let (u, v) = if self.distorted { undistort(distortion, u, v, self.valid_radius)? } else { (u, v) };
-        Some((u * self.camera.fx + self.camera.cx, v * self.camera.fy + self.camera.cy))
+        let [u, v, _] = self.uploaded.ray([x, y]);
+        let [u, v] = if self.distorted { undistort(&self.uploaded, [u, v], self.valid_radius)? } else { [u, v] };
+        Some(self.camera.project([u, v, 1.0]).into())
     }
 
     /// The bounding box of the pixels that are set in an uploaded mask, in rectified pixels and a little generous.

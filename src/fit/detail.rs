@@ -179,10 +179,7 @@ impl Detail {
 
 /// A pixel at the person, in the units of the texture's coordinates.
 fn cell(body: &Body, fitted: &FitState, camera: &Camera) -> f64 {
-    let distances = fitted.transl.as_chunks::<3>().0.iter().map(|t| {
-        let place = glam::DVec3::from_array(t.map(f64::from));
-        glam::DVec3::from_slice(&camera.rotation[6..]).dot(place) + camera.translation[2]
-    });
+    let distances = fitted.transl.as_chunks::<3>().0.iter().map(|t| camera.view(t.map(f64::from))[2]);
     let nearest = distances.fold(f64::INFINITY, f64::min);
     nearest.max(0.1) / camera.fx / super::state::cube_side(body)
 }

@@ -15,8 +15,7 @@ use crate::ops::{Corners, Topology};
 const REACH_M: f64 = 1.5;
 
 fn depth_range(camera: &Camera, transl: &[f32]) -> (f64, f64) {
-    let row = &camera.rotation[6..];
-    let z: f64 = (0..3).map(|k| row[k] * transl[k] as f64).sum::<f64>() + camera.translation[2];
+    let [_, _, z] = camera.view([0, 1, 2].map(|k| f64::from(transl[k])));
     ((z - REACH_M).max(0.05), z.max(0.1) + REACH_M)
 }
 

@@ -47,8 +47,8 @@ impl Footage {
         let subject = Subject::open(folder)?;
         let n = keypoints.frames.len();
         ensure!(subject.joints.len() == n, "truth/joints3d.json: {} frames, expected {n}", subject.joints.len());
-        let pixel = |p: &[f64; 3]| [camera.fx * p[0] / p[2] + camera.cx, camera.fy * p[1] / p[2] + camera.cy];
-        let joints_px = subject.joints.iter().map(|joints| joints.iter().map(pixel).collect()).collect();
+        let pixels = |joints: &Vec<[f64; 3]>| joints.iter().map(|p| camera.project(*p)).collect();
+        let joints_px = subject.joints.iter().map(pixels).collect();
         let numbers: Vec<u32> = (0..n as u32).collect();
         let masks: Option<Vec<GrayImage>> = subject.masks(&numbers)?.into_iter().collect();
         let masks = masks.filter(|masks| masks.len() == n).context("masks.zip: expected a mask for each frame")?;

@@ -1,7 +1,6 @@
 //! The hash texture against fixed coordinates and against a texel map.
 
 use anyhow::{Context as _, Result};
-use glam::{DMat3, DVec3};
 use image::RgbImage;
 use image::imageops::{self, FilterType};
 
@@ -194,14 +193,13 @@ impl Crops {
     /// Round the head's and the chest's joints of frame 0.
     fn of(person: &Person, camera: &Camera) -> Result<Self> {
         let joints = person.first_joints()?;
-        let rotation = DMat3::from_cols_array(&camera.rotation).transpose();
         let around = |joint: usize, up_m: f64, side_m: f64| {
-            let p = rotation * (DVec3::from(joints[joint]) - DVec3::Y * up_m) + DVec3::from(camera.translation);
-            let side = (camera.fx * side_m / p.z) as u32;
-            let corner = |f: f64, c: f64, x: f64, n: u32| {
-                (f * x / p.z + c - 0.5 * side as f64).clamp(0.0, (n - side.min(n)) as f64) as u32
-            };
-            (corner(camera.fx, camera.cx, p.x, camera.width), corner(camera.fy, camera.cy, p.y, camera.height), side)
+            let [x, y, z] = joints[joint];
+            let seen = camera.view([x, y - up_m, z]);
+            let side = (camera.fx * side_m / seen[2]) as u32;
+            let corner = |middle: f64, n: u32| (middle - 0.5 * side as f64).clamp(0.0, (n - side.min(n)) as f64) as u32;
+            let [u, v] = camera.project(seen);
+            (corner(u, camera.width), corner(v, camera.height), side)
         };
         Ok(Self([around(15, 0.05, 0.30), around(9, 0.0, 0.30)]))
     }

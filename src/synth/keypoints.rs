@@ -46,8 +46,7 @@ pub(super) fn detect(
         let seen = 0.8 + 0.2 * rng.random::<f64>();
         let noise = [normal(rng), normal(rng)].map(|n| noise_px * n);
         let dropped = rng.random::<f64>() < DROPOUT;
-        let p = point.as_dvec3();
-        let (x, y) = (camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy);
+        let [x, y] = camera.project(point.as_dvec3().to_array());
         if dropped { [0.0; 3] } else { [x + noise[0], y + noise[1], if hidden { HIDDEN } else { seen }] }
     };
     points.iter().map(keypoint).collect()

@@ -10,8 +10,10 @@ use super::state::{Frame, Layout, Shared, State};
 use super::steps::Steps;
 use super::tracks::{self, Tracks};
 use crate::body::N_JOINTS;
+use crate::camera::Camera;
 
-/// A pinhole without distortion, the person in camera space.
+/// A pinhole without distortion, the person in camera space. It has [`Camera::project`]'s arithmetic for itself: what lies behind
+/// the camera must have a place on the picture too, and [`Pinhole::slopes`] are that place's derivatives.
 #[derive(Clone, Copy, Debug)]
 pub struct Pinhole {
     pub fx: f64,
@@ -27,6 +29,10 @@ pub const NEAR: f64 = 0.05;
 const NOMINAL_HEIGHT_M: f64 = 1.7;
 
 impl Pinhole {
+    pub fn of(camera: &Camera) -> Self {
+        Self { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy }
+    }
+
     pub fn zoomed(&self, log_focal: f64) -> Self {
         let zoom = log_focal.exp();
         Self { fx: self.fx * zoom, fy: self.fy * zoom, ..*self }
@@ -35,6 +41,11 @@ impl Pinhole {
     pub fn project(&self, p: DVec3) -> DVec2 {
         let z = p.z.max(NEAR);
         DVec2::new(self.fx * p.x / z + self.cx, self.fy * p.y / z + self.cy)
+    }
+
+    /// The place at depth 1 that is seen at a pixel.
+    pub fn ray(&self, at: DVec2) -> DVec3 {
+        DVec3::new((at.x - self.cx) / self.fx, (at.y - self.cy) / self.fy, 1.0)
     }
 
     /// Gradients of u and v.

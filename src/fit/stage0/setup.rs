@@ -52,7 +52,6 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
     let index = |t: usize| f64::from(capture.frames[t].index);
     let span = (index(capture.frames.len() - 1) - index(0)).max(1.0);
     let gaps = (1..capture.frames.len()).map(|t| (index(t) - index(t - 1)).max(1.0) * 100.0 / span).collect();
-    let camera = &capture.camera;
     let prior = Prior::standing();
     let rig = Rig::new(body);
     let habits = Habits::of(&capture.given_keypoint_format);
@@ -60,7 +59,7 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         layout: Layout::new(&prior, rig.n_betas()),
         rig,
         prior,
-        camera: Pinhole { fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy },
+        camera: Pinhole::of(&capture.camera),
         stature: stature(body),
         focal_sigma: if capture.camera_estimated { GUESSED_FOCAL } else { KNOWN_FOCAL },
         landmarks,
@@ -159,10 +158,9 @@ fn first_state(problem: &Problem, reading: &Placement) -> State {
     let n = reading.yaws.len();
     let frame = |t: usize| {
         let depth = camera.fy / reading.scales[t];
-        let at = reading.centres[t];
         Frame {
             root: DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)) * DMat3::from_rotation_y(reading.yaws[t]),
-            pelvis: DVec3::new((at.x - camera.cx) / camera.fx, (at.y - camera.cy) / camera.fy, 1.0) * depth,
+            pelvis: camera.ray(reading.centres[t]) * depth,
             turn_rate: rate(t.min(n.saturating_sub(2))),
             step: [[0.0; 2]; 2],
             theta: problem.prior.mean_pose(),

@@ -50,8 +50,7 @@ fn barycentric_coordinates_lead_back_to_the_ray() {
     for pixel in covered {
         let point: Vec<f64> =
             (0..3).map(|c| (0..3).map(|k| image.bary_coords[pixel * 3 + k] * TRIANGLE[k * 3 + c]).sum()).collect();
-        let u = CAMERA.fx * point[0] / point[2] + CAMERA.cx;
-        let v = CAMERA.fy * point[1] / point[2] + CAMERA.cy;
+        let [u, v] = CAMERA.project([point[0], point[1], point[2]]);
         assert!((u - (pixel % 12) as f64 - 0.5).abs() < 1e-9 && (v - (pixel / 12) as f64 - 0.5).abs() < 1e-9);
         assert!((image.zbuf[pixel] - point[2]).abs() < 1e-12);
     }

@@ -131,8 +131,7 @@ mod tests {
         let head = square(&model, &model.camera, &posed, &[15]).unwrap();
         let body = square(&model, &model.camera, &posed, &(0..24).collect::<Vec<_>>()).unwrap();
         assert!(head[2] < 0.4 * body[2], "{head:?} of {body:?}");
-        let [x, _, z] = posed.joints[15];
-        let x = model.camera.fx as f32 * x / z + model.camera.cx as f32;
+        let x = model.camera.project(posed.joints[15].map(f64::from))[0] as f32;
         assert!(head[0] < x && x < head[0] + head[2], "{head:?}, the joint at {x}");
         assert_eq!(square(&model, &model.camera, &posed, &[99]), None);
     }

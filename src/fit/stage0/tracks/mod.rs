@@ -184,9 +184,8 @@ fn attach(best: &Candidate, body: &Body, tracks: &[Track], height: f64) -> Track
             continue;
         }
         let place = surfaces[middle].places[vertex];
-        let ray = DVec3::new((at.x - camera.cx) / camera.fx, (at.y - camera.cy) / camera.fy, 1.0);
         let point = Point::vertex(body, vertex);
-        let expected = unposed(&posed[middle], &point, state, ray * place.z) / stature;
+        let expected = unposed(&posed[middle], &point, state, camera.ray(at) * place.z) / stature;
         chosen.push((point, expected, seen));
         taken.push((middle, at));
     }
