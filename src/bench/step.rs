@@ -10,6 +10,7 @@ use crate::body::Body;
 use crate::capture::{Capture, Frame};
 use crate::fit::{FitConfig, FitError, FitState, Inputs, Phase, Stage, with_step};
 use crate::gpu::{Gpu, KernelTime};
+use crate::math::median;
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
 use crate::ops::skinning::cpu::forward;
 use crate::ops::{Corners, Topology};
@@ -51,11 +52,9 @@ impl Row {
             gpu.wait()?;
             rows.push(begun.elapsed().as_secs_f64());
         }
-        let median = |mut secs: Vec<f64>| {
-            secs.sort_by(f64::total_cmp);
-            1e3 * secs[secs.len() / 2] / f64::from(STEPS_IN_A_ROW)
-        };
-        Ok(Self { ms: median(rows), host_ms: median(host) })
+        let ms = |secs| 1e3 * median(secs).expect("a row or more") / f64::from(STEPS_IN_A_ROW);
+        let [ms, host_ms] = [rows, host].map(ms);
+        Ok(Self { ms, host_ms })
     }
 }
 

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use super::Case;
 use crate::gpu::{Gpu, GpuError, KernelTime, cpu_secs};
+use crate::math::median;
 
 /// Times of one thing, milliseconds.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
@@ -25,10 +26,10 @@ impl Times {
     /// # Panics
     /// Without times.
     pub fn of(pairs: &[[f64; 2]]) -> Self {
-        let [mut wall, mut cpu]: [Vec<f64>; 2] = std::array::from_fn(|k| pairs.iter().map(|pair| pair[k]).collect());
-        wall.sort_by(f64::total_cmp);
-        cpu.sort_by(f64::total_cmp);
-        Self { best_ms: wall[0], median_ms: wall[wall.len() / 2], cpu_ms: cpu[0], device_ms: None }
+        let of = |k: usize| pairs.iter().map(move |pair| pair[k]);
+        let least = |k: usize| of(k).min_by(f64::total_cmp).expect("a time or more");
+        let median_ms = median(of(0)).expect("a time or more");
+        Self { best_ms: least(0), median_ms, cpu_ms: least(1), device_ms: None }
     }
 
     /// What the work takes when it has the device for itself, as far as it uses all of it: by the device's clock, else the
@@ -95,9 +96,5 @@ pub fn interleaved(gpu: &Gpu, cases: &[Case<'_>], repeats: u32) -> Result<Vec<Ti
             device.extend(device_secs.map(|secs| 1e3 * secs));
         }
     }
-    let times = all.into_iter().map(|(pairs, mut device)| {
-        device.sort_by(f64::total_cmp);
-        Times { device_ms: device.get(device.len() / 2).copied(), ..Times::of(&pairs) }
-    });
-    Ok(times.collect())
+    Ok(all.into_iter().map(|(pairs, device)| Times { device_ms: median(device), ..Times::of(&pairs) }).collect())
 }

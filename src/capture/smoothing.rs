@@ -5,6 +5,7 @@
 use glam::{DMat3, DVec2, DVec3};
 
 use super::keypoints::Point;
+use crate::math::median;
 
 /// The frames of a clip of fewer lie too far apart: over five of them a joint's way is no parabola.
 const LEAST_FRAMES: usize = 30;
@@ -77,9 +78,7 @@ fn noise(track: &[Point]) -> Option<f64> {
         Some(seen(frame)?.distance(before.midpoint(after)))
     };
     let nearest = |frame| (1..=3).filter_map(|step| off_middle(frame, step)).min_by(f64::total_cmp);
-    let mut distances: Vec<f64> = (0..track.len()).filter_map(nearest).collect();
-    distances.sort_by(f64::total_cmp);
-    distances.get(distances.len() / 2).map(|median| (median / MEDIAN_OF_NEAREST).max(LEAST_NOISE))
+    median((0..track.len()).filter_map(nearest)).map(|median| (median / MEDIAN_OF_NEAREST).max(LEAST_NOISE))
 }
 
 /// A point's track, smoothed with one window.

@@ -181,12 +181,6 @@ fn solve_colours(scene: &Scene, inputs: &Inputs<'_>, state: &mut FitState) -> Re
     Ok(())
 }
 
-/// From 0 at zero to 1 at one, without a corner.
-fn smooth(t: f32) -> f32 {
-    let t = t.clamp(0.0, 1.0);
-    t * t * (3.0 - 2.0 * t)
-}
-
 /// The losses of a step may still be finite when its update is not.
 fn check_finite(state: &FitState) -> Result<(), FitError> {
     if state.is_finite() {

@@ -15,6 +15,7 @@ use super::kept::{Arrays, Keeper, Kept};
 use super::losses::Losses;
 use super::scene::Scene;
 use super::state::{Begun, FitState, Progress, Stage};
+use crate::math::{DEVIATION_OVER_MEDIAN, median_f32};
 
 /// One step of a stage.
 pub(super) struct Step<'a> {
@@ -142,14 +143,9 @@ const MIN_DEVIATION: f32 = 0.15;
 /// It falls with the square of the error, as the weights of Geman and McClure do in the end. Frames without an error count
 /// whole.
 fn trust(errors: &[Option<f32>]) -> Vec<f32> {
-    let middle = |mut values: Vec<f32>| {
-        values.sort_by(f32::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
-    };
-    let known: Vec<f32> = errors.iter().flatten().copied().collect();
-    let median = middle(known.clone());
-    // For normally distributed errors this is their standard deviation.
-    let deviation = 1.4826 * middle(known.iter().map(|e| (e - median).abs()).collect());
+    let known = || errors.iter().flatten().copied();
+    let median = median_f32(known()).unwrap_or(0.0);
+    let deviation = DEVIATION_OVER_MEDIAN as f32 * median_f32(known().map(|e| (e - median).abs())).unwrap_or(0.0);
     let limit = median + OUTLIER_SIGMAS * deviation.max(MIN_DEVIATION * median);
     let of = |error: f32| if error > limit { (limit / error).powi(2) } else { 1.0 };
     errors.iter().map(|e| e.map_or(1.0, of)).collect()

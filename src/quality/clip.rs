@@ -7,6 +7,7 @@ use super::mask::Mask;
 use super::mask_edge::{self, edge_offset};
 use super::sharpness::sharpness;
 use crate::capture::{Capture, Frame};
+use crate::math::median;
 
 /// A point further from the mask than this part of the person's height belongs to something else: detectors miss by less.
 const OFF_MASK: f64 = 0.04;
@@ -108,11 +109,6 @@ fn border(capture: &Capture, frame: &Frame, mask: &Mask<'_>) -> [usize; 4] {
     ]
 }
 
-pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
-}
-
 /// `3 of 60 frames`
 pub(super) fn of(frames: &[u32], all: usize) -> String {
     format!("{} of {all} frames", frames.len())
@@ -142,13 +138,13 @@ fn few_frames(measures: &[FrameMeasures]) -> Option<Flag> {
 }
 
 fn low_resolution(measures: &[FrameMeasures]) -> Option<Flag> {
-    let height = median(measures.iter().map(|m| m.height_px as f64).collect())?;
+    let height = median(measures.iter().map(|m| m.height_px as f64))?;
     let message = format!("the person is only {height:.0} pixels tall");
     (height < LOW_PX).then(|| Flag::of_clip(Kind::LowResolution, message, height, LOW_PX))
 }
 
 fn blurred_clip(measures: &[FrameMeasures]) -> Option<Flag> {
-    let sharpness = median(measures.iter().filter_map(|m| m.sharpness).collect())?;
+    let sharpness = median(measures.iter().filter_map(|m| m.sharpness))?;
     let message = "the person is blurred in most frames".to_owned();
     (sharpness < BLURRED_CLIP).then(|| Flag::of_clip(Kind::BlurredClip, message, sharpness, BLURRED_CLIP))
 }
@@ -198,7 +194,7 @@ fn mask_flickers(measures: &[FrameMeasures]) -> Option<Flag> {
         return None;
     }
     let jumps = jumps(&measures.iter().map(|m| (f64::from(m.frame), m.mask_area_px as f64)).collect::<Vec<_>>());
-    let limit = (JUMP_OF_UNREST * median(jumps.clone())?).max(JUMP);
+    let limit = (JUMP_OF_UNREST * median(jumps.iter().copied())?).max(JUMP);
     let jump = |m: &FrameMeasures| measures.iter().position(|n| n.frame == m.frame).map_or(0.0, |t| jumps[t]);
     of_frames(measures, Kind::MaskFlickers, "the mask's area jumps", limit, jump, |a, b| a > b)
 }
@@ -222,7 +218,7 @@ fn jumps(values: &[(f64, f64)]) -> Vec<f64> {
 }
 
 fn blurred(measures: &[FrameMeasures]) -> Option<Flag> {
-    let usual = median(measures.iter().filter_map(|m| m.sharpness).collect())?;
+    let usual = median(measures.iter().filter_map(|m| m.sharpness))?;
     let relative = |m: &FrameMeasures| m.sharpness.map_or(1.0, |s| s / usual);
     of_frames(measures, Kind::Blurred, "the person is blurred", BLURRED, relative, |a, b| a < b)
 }

@@ -1,8 +1,9 @@
 //! What the fit tells about the clip.
 
-use super::clip::{median, of};
+use super::clip::of;
 use super::flag::{Flag, Kind};
 use crate::camera::Camera;
+use crate::math::median;
 
 /// A turn that leaves a gap shows in the avatar.
 const FULL_TURN_DEGREES: f64 = 330.0;
@@ -101,7 +102,7 @@ fn no_full_turn(found: &FitFindings<'_>) -> Option<Flag> {
 }
 
 fn near_camera(found: &FitFindings<'_>) -> Option<Flag> {
-    let distance = median(found.distances.to_vec())?;
+    let distance = median(found.distances.iter().copied())?;
     let message = format!("the camera was {distance:.1} times the person's height away");
     (distance < NEAR).then(|| Flag::of_clip(Kind::NearCamera, message, distance, NEAR))
 }
@@ -152,7 +153,7 @@ fn cloth_between_legs(found: &FitFindings<'_>) -> Option<Flag> {
 }
 
 fn keypoints_noisy(found: &FitFindings<'_>) -> Option<Flag> {
-    let residual = median(found.keypoint_residuals.to_vec())?;
+    let residual = median(found.keypoint_residuals.iter().copied())?;
     let message =
         format!("keypoints lie {:.1} percent of the person's height from the fitted joints", 100.0 * residual);
     (residual > NOISY).then(|| Flag::of_clip(Kind::KeypointsNoisy, message, residual, NOISY))
@@ -166,7 +167,7 @@ fn sides_swapped(found: &FitFindings<'_>) -> Option<Flag> {
 }
 
 fn fit_misses(found: &FitFindings<'_>) -> Option<Flag> {
-    let limit = (median(found.iou.to_vec())? - BELOW_MEDIAN).max(LOW_IOU);
+    let limit = (median(found.iou.iter().copied())? - BELOW_MEDIAN).max(LOW_IOU);
     let low = || found.frames.iter().zip(found.iou).filter(|(_, iou)| **iou < limit);
     let frames: Vec<u32> = low().map(|(frame, _)| *frame).collect();
     let worst = low().map(|(_, iou)| *iou).reduce(f64::min)?;

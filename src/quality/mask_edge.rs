@@ -1,10 +1,10 @@
 //! Whether the masks end where the person does: segmentations are often a few pixels too tight or too wide all round, and
 //! nothing in the masks tells. The pictures do: across the person's edge colours change more than anywhere near it.
 
-use super::clip::median;
 use super::flag::{Flag, Kind};
 use crate::capture::{Capture, Frame};
 use crate::distance::signed_distance;
+use crate::math::median;
 
 /// Pixels to either side of the mask's edge that are looked at.
 const REACH: usize = 8;

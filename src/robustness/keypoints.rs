@@ -5,15 +5,10 @@ use rand_pcg::Pcg64;
 
 use super::footage::Footage;
 use crate::body::joints::{LEFT_SHOULDER, RIGHT_SHOULDER};
+use crate::math::normal;
 
 /// COCO-17's left points; each partner is the next one.
 const LEFT: [usize; 8] = [1, 3, 5, 7, 9, 11, 13, 15];
-
-/// A number from the normal distribution (Box and Muller).
-fn normal(rng: &mut Pcg64) -> f64 {
-    let (u, v) = (1.0 - rng.random::<f64>(), rng.random::<f64>());
-    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
-}
 
 /// Noise of σ pixels on all points.
 pub fn noisy(footage: &mut Footage, sigma: f64, rng: &mut Pcg64) {

@@ -1,7 +1,7 @@
 //! Bodies of unusual build, in the directions of a body's own shape space.
 
-use super::keypoints::normal;
 use crate::body::Body;
+use crate::math::normal;
 use rand_pcg::Pcg64;
 
 /// Standard deviations from the mean body.

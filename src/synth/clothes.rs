@@ -6,6 +6,7 @@ use rand_pcg::Pcg64;
 
 use crate::avatar::vertex_normals;
 use crate::body::Body;
+use crate::math::smoothstep;
 
 /// What covers a point; the index in [`Dress::regions`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -127,8 +128,7 @@ const TRUNK_FOLDS: f32 = 7.0;
 const LEG_FOLDS: f32 = 4.0;
 
 pub(super) fn step(low: f32, high: f32, x: f32) -> f32 {
-    let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
-    t * t * (3.0 - 2.0 * t)
+    smoothstep((x - low) / (high - low))
 }
 
 /// Dresses `body` of shape `betas`.

@@ -6,6 +6,7 @@ use rand_pcg::Pcg64;
 
 use crate::body::{Body, KeypointSource};
 use crate::camera::Camera;
+use crate::math::normal;
 
 /// Confidence of a keypoint that the body hides.
 const HIDDEN: f64 = 0.3;
@@ -16,12 +17,6 @@ const DROPOUT: f64 = 0.05;
 /// Depth by which the surface may lie before a keypoint that is still seen, metres: joints lie inside the body.
 const JOINT_DEPTH: f32 = 0.18;
 const SURFACE_DEPTH: f32 = 0.02;
-
-/// A number from the normal distribution (Box and Muller).
-pub(super) fn normal(rng: &mut Pcg64) -> f64 {
-    let (u, v) = (1.0 - rng.random::<f64>(), rng.random::<f64>());
-    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
-}
 
 /// `[17]` x, y in pixels and confidence, for a mesh in camera space.
 pub(super) fn detect(

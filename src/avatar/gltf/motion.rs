@@ -4,6 +4,7 @@ use glam::{Mat3, Mat4, Quat, Vec3};
 
 use crate::avatar::{AvatarModel, pose};
 use crate::body::N_JOINTS;
+use crate::math::median_f32;
 
 /// A camera that looks up or down by more than this is levelled: the person's mean up becomes +Y.
 const LEVEL_ABOVE_RADIANS: f32 = 8.0 * std::f32::consts::PI / 180.0;
@@ -65,13 +66,9 @@ fn upright(model: &AvatarModel) -> Quat {
 fn ground(model: &AvatarModel, turn: Quat) -> f32 {
     let height = Mat3::from_quat(turn).row(1);
     let step = model.poses.len().div_ceil(GROUND_FRAMES);
-    let mut lows: Vec<f32> = (0..model.poses.len())
-        .step_by(step)
-        .map(|i| {
-            let posed = model.posed(&model.poses[i], model.transl[i]);
-            posed.vertices.iter().map(|&v| height.dot(Vec3::from(v))).fold(f32::INFINITY, f32::min)
-        })
-        .collect();
-    lows.sort_by(f32::total_cmp);
-    lows[lows.len() / 2]
+    let lows = (0..model.poses.len()).step_by(step).map(|i| {
+        let posed = model.posed(&model.poses[i], model.transl[i]);
+        posed.vertices.iter().map(|&v| height.dot(Vec3::from(v))).fold(f32::INFINITY, f32::min)
+    });
+    median_f32(lows).expect("a model has frames")
 }

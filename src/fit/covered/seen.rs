@@ -74,6 +74,7 @@ pub(super) fn is_other_than_skin(part: [f32; 3], face: [f32; 3]) -> bool {
     !(DARKER..1.0 / DARKER).contains(&brightness) || share(part).distance(share(face)) > OTHER_HUE
 }
 
+/// Of each channel, within [0, 1]; of an even number the lower of the two in the middle.
 fn median(mut samples: Vec<[u8; 3]>) -> Option<[f32; 3]> {
     let middle = samples.len().checked_sub(1)? / 2;
     Some(std::array::from_fn(|channel| {

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::mean_around;
 use crate::body::Body;
-use crate::fit::smooth;
+use crate::math::smoothstep;
 use crate::ops::Topology;
 
 /// Part of a vertex' weight from which on it goes all the way.
@@ -27,7 +27,7 @@ pub(super) fn cap(vertices: &mut [Vec3], body: &Body, topology: &Topology, joint
     let region: Vec<(usize, f32)> = (0..vertices.len())
         .map(|v| (v, toes(v)))
         .filter(|(_, weight)| *weight > 0.0)
-        .map(|(v, weight)| (v, smooth(weight / WHOLLY)))
+        .map(|(v, weight)| (v, smoothstep(weight / WHOLLY)))
         .collect();
     let ahead = Vec3 { y: 0.0, ..places[1] - places[0] };
     let begin: Vec<Vec3> = region.iter().filter(|r| (0.2..0.95).contains(&toes(r.0))).map(|r| vertices[r.0]).collect();

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 
 use super::model::TextureModel;
 use crate::gpu::{Buffer, Gpu, Recorder};
+use crate::math::median_f32;
 use crate::ops::interpolate::{Interpolate, Sampling};
 use crate::ops::rgb_l1::{Pixels, RgbL1};
 use crate::ops::{LossSlot, Target, pack_pixel};
@@ -91,9 +92,8 @@ pub fn known(faces: &[[u32; 3]], vertices: &[[f32; 3]], counts: &[f32]) -> Vec<b
         (b - a).cross(c - a).length().max(f32::MIN_POSITIVE)
     };
     let densities: Vec<f32> = faces.iter().zip(counts).map(|(face, count)| count / area(face)).collect();
-    let mut seen: Vec<f32> = densities.iter().zip(counts).filter(|(_, n)| **n > 0.0).map(|(d, _)| *d).collect();
-    seen.sort_by(f32::total_cmp);
-    let least = MIN_SHARE * seen.get(seen.len() / 2).copied().unwrap_or(0.0);
+    let seen = densities.iter().zip(counts).filter(|(_, n)| **n > 0.0).map(|(d, _)| *d);
+    let least = MIN_SHARE * median_f32(seen).unwrap_or(0.0);
     densities.iter().zip(counts).map(|(&density, &n)| n >= MIN_PIXELS && density >= least).collect()
 }
 

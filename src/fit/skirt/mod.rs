@@ -10,10 +10,10 @@ use glam::Vec3;
 
 use self::outline::Outline;
 use self::standing::Standing;
-use super::smooth;
 use super::state::FitState;
 use crate::body::joints::{LEFT_HIP, LEFT_KNEE, RIGHT_HIP, RIGHT_KNEE};
 use crate::body::{Body, N_INFLUENCES, N_JOINTS};
+use crate::math::smoothstep;
 use crate::ops::Topology;
 
 /// Joints of both legs, left and right.
@@ -97,7 +97,7 @@ impl Skirt {
             .map(|v| {
                 let (z, place) = (standing.posed.vertices[v][2], standing.place(v));
                 let weight =
-                    self.weight(place.y) * smooth((1.0 - place.x.abs()) / FADE_ACROSS) * smooth(place.y / FADE);
+                    self.weight(place.y) * smoothstep((1.0 - place.x.abs()) / FADE_ACROSS) * smoothstep(place.y / FADE);
                 let outline = nearest(&outlines, place.y).filter(|_| weight > 0.0 && !standing.of_arm[v])?;
                 Some(weight * (goes(outline, place.x, z) - z))
             })
@@ -151,7 +151,7 @@ impl Skirt {
                 continue;
             };
             let depth = outline.depth(place.x, vertices[v].z);
-            let within = smooth((LEG - place.x.abs()) / 0.3) * smooth(depth.min(1.0 - depth) / BEHIND - 1.0);
+            let within = smoothstep((LEG - place.x.abs()) / 0.3) * smoothstep(depth.min(1.0 - depth) / BEHIND - 1.0);
             vertices[v].y += within * TUCK * leg;
         }
         standing.lay(body, state, &vertices);
@@ -169,7 +169,7 @@ impl Skirt {
         let standing = Standing::new(body, state, &state.offsets);
         for v in (0..body.n_vertices()).filter(|&v| !standing.of_arm[v]) {
             let place = standing.place(v);
-            let hanging = self.weight(place.y) * smooth((place.y + FADE_ABOVE) / FADE_ABOVE);
+            let hanging = self.weight(place.y) * smoothstep((place.y + FADE_ABOVE) / FADE_ABOVE);
             let mut weights = weights(body, v);
             for (thigh, shank) in THIGHS.into_iter().zip(SHANKS) {
                 let hangs = hanging * weights[shank];
@@ -179,7 +179,7 @@ impl Skirt {
                 let both = weights[left] + weights[right];
                 if both > 0.0 {
                     let share = weights[left] / both;
-                    let share = share + hanging * (smooth(0.5 + 0.5 * place.x) - share);
+                    let share = share + hanging * (smoothstep(0.5 + 0.5 * place.x) - share);
                     (weights[left], weights[right]) = (both * share, both * (1.0 - share));
                 }
             }
@@ -191,7 +191,7 @@ impl Skirt {
 
     /// One on the cloth, zero below the hem.
     fn weight(&self, along: f32) -> f32 {
-        smooth((self.hem + 0.25 * FADE - along) / FADE)
+        smoothstep((self.hem + 0.25 * FADE - along) / FADE)
     }
 }
 

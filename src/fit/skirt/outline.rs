@@ -2,7 +2,7 @@
 
 use glam::Vec2;
 
-use super::smooth;
+use crate::math::smoothstep;
 
 /// Places across a section at which its front and back are told.
 const PLACES: usize = 41;
@@ -48,7 +48,7 @@ impl Outline {
         let [back, front] = between(&self.hull, x);
         let depth = (z - back) / (front - back).max(0.01);
         let outer = if depth < 0.5 { back } else { front };
-        z + smooth(((depth - 0.5).abs() - 0.1) / 0.1) * (outer - z)
+        z + smoothstep(((depth - 0.5).abs() - 0.1) / 0.1) * (outer - z)
     }
 
     /// How far `z` lies from the surface's back (0) to its front (1) at `x`.

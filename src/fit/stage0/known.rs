@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::noise;
-use super::problem::Problem;
+use super::problem::{Problem, geman_mcclure_share};
 use super::rotation;
 use super::setup;
 use super::state::{Frame, State};
@@ -99,7 +99,7 @@ fn common_shift(problem: &Problem, start: &State, to_camera: &DMat3, sigma_px: f
             for (k, seen) in problem.observations[t].iter().enumerate().filter(|(_, o)| o.weight > 0.0) {
                 let place = posed.place(&problem.points[k], &state.shared.betas, DVec3::ZERO);
                 let error = problem.camera.project(place) - seen.at;
-                let share = 9.0 / (error.length_squared() / (sigma_px * sigma_px) + 9.0);
+                let share = geman_mcclure_share(error.length_squared() / (sigma_px * sigma_px), 3.0);
                 let weight = seen.weight * share * share / (sigma_px * sigma_px);
                 for (slope, residual) in problem.camera.slopes(place).into_iter().zip(error.to_array()) {
                     h += DMat3::from_cols(slope * slope.x, slope * slope.y, slope * slope.z) * weight;

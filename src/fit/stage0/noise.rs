@@ -10,6 +10,7 @@ use super::landmarks::Part;
 use super::problem::{Problem, Scales};
 use super::sides;
 use super::state::State;
+use crate::math::{DEVIATION_OVER_MEDIAN, median};
 
 /// Bounds of the noise in multiples of the person's height in pixels: the model's own misfit, and the most that a
 /// detector may be off.
@@ -26,14 +27,15 @@ const LASTING_FOLLOWED: f64 = 5.0;
 /// What lasts of residuals because the model is not the person, and keypoints are smoothed in time; over the person's height.
 const MISFIT: f64 = 0.0008;
 
-/// Of a normal distribution: its standard deviation over the median of its absolute values.
-const OVER_MEDIAN: f64 = 1.4826;
+/// The median distance over σ of one coordinate: a Rayleigh distribution's.
+pub const MEDIAN_DISTANCE: f64 = 1.1774;
 
-/// σ of one coordinate from the median distance (that of a Rayleigh distribution is 1.1774 σ).
+/// σ of one coordinate from the median distance.
 pub fn of_each_frame(problem: &Problem, state: &State, scales: &Scales) -> f64 {
     let all: Vec<f64> = sides::distances(problem, state).into_iter().flatten().filter(|d| d.is_finite()).collect();
     let height = problem.height_px(state);
-    median(all).map_or(scales.sigma_px, |median| (FOLLOWED * median / 1.1774).clamp(LEAST * height, MOST * height))
+    median(all)
+        .map_or(scales.sigma_px, |median| (FOLLOWED * median / MEDIAN_DISTANCE).clamp(LEAST * height, MOST * height))
 }
 
 /// σ of one coordinate of errors that neighbouring frames have in common, at the end of a descent that took them for new in each;
@@ -52,11 +54,8 @@ pub fn lasting(problem: &Problem, state: &State) -> f64 {
     let changes: Vec<f64> = coordinates(&mut pairs.filter_map(|(a, b)| Some((*b)? - (*a)?)));
     let [Some(all), Some(changes)] = [all, changes].map(median) else { return 0.0 };
     // Noise that is new in each frame makes changes √2 times as large as itself.
-    let squared = (OVER_MEDIAN * all).powi(2) - (OVER_MEDIAN * changes).powi(2) / 2.0 - (MISFIT * height).powi(2);
+    let squared = (DEVIATION_OVER_MEDIAN * all).powi(2)
+        - (DEVIATION_OVER_MEDIAN * changes).powi(2) / 2.0
+        - (MISFIT * height).powi(2);
     (LASTING_FOLLOWED * squared.max(0.0).sqrt()).min(MOST * height)
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }

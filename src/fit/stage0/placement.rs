@@ -9,6 +9,7 @@ use glam::{DVec2, DVec3};
 
 use super::landmarks::{Landmark, Part};
 use super::problem::Observation;
+use crate::math::median;
 
 /// Facings tried a frame.
 const BINS: usize = 72;
@@ -78,17 +79,9 @@ pub fn readings(
     readings
 }
 
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    values.sort_by(f64::total_cmp);
-    Some(values[values.len() / 2])
-}
-
 fn running_median(values: &[f64], half: usize) -> Vec<f64> {
-    let window = |t: usize| values[t.saturating_sub(half)..(t + half + 1).min(values.len())].to_vec();
-    (0..values.len()).map(|t| median(window(t)).unwrap_or(values[t])).collect()
+    let window = |t: usize| &values[t.saturating_sub(half)..(t + half + 1).min(values.len())];
+    (0..values.len()).map(|t| median(window(t).iter().copied()).unwrap_or(values[t])).collect()
 }
 
 /// Theil–Sen over image rows, smoothed over time; `None` where no frame shows enough of the person.
@@ -106,7 +99,7 @@ fn rows_of(landmarks: &[Landmark], template: &[DVec3], observations: &[Vec<Obser
             }
         }
         let scale = median(slopes).filter(|s| *s > 1.0)?;
-        let y = median(used.iter().map(|&k| seen[k].at.y + scale * template[k].y).collect())?;
+        let y = median(used.iter().map(|&k| seen[k].at.y + scale * template[k].y))?;
         Some(Rows { scale, y })
     };
     let found: Vec<Option<Rows>> = observations.iter().map(of_frame).collect();
@@ -153,8 +146,8 @@ fn score_facing(landmarks: &[Landmark], template: &[DVec3], seen: &[Observation]
     let used = || (0..seen.len()).filter(|&k| seen[k].weight > 0.0);
     let is_arm = |k: usize| matches!(landmarks[k].part, Part::Elbow | Part::Wrist);
     let lateral = |k: usize| seen[k].at.x - row.scale * turned(template[k]).0;
-    let x = median(used().filter(|&k| !is_arm(k)).map(lateral).collect());
-    let Some(x) = x.or_else(|| median(used().map(lateral).collect())) else {
+    let x = median(used().filter(|&k| !is_arm(k)).map(lateral));
+    let Some(x) = x.or_else(|| median(used().map(lateral))) else {
         return Score { cost: 0.0, x: 0.0 };
     };
     let mut cost = 0.0;

@@ -153,10 +153,15 @@ pub struct Problem {
     pub steps: Steps,
 }
 
+/// `ρ²/(q + ρ²)`: the part of a squared error `q` that Geman and McClure count.
+pub fn geman_mcclure_share(q: f64, rho: f64) -> f64 {
+    let r2 = rho * rho;
+    r2 / (q + r2)
+}
+
 /// `½ ρ²q/(q + ρ²)` and its derivative with respect to `½ q`.
 fn geman_mcclure(q: f64, rho: f64) -> (f64, f64) {
-    let r2 = rho * rho;
-    let share = r2 / (q + r2);
+    let share = geman_mcclure_share(q, rho);
     (0.5 * q * share, share * share)
 }
 

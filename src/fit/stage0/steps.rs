@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use super::problem::{Problem, Scales};
 use super::state::{Frame, State};
 use crate::body::joints::{LEFT_ANKLE, LEFT_HIP, LEFT_KNEE, RIGHT_ANKLE, RIGHT_HIP, RIGHT_KNEE};
+use crate::math::median;
 
 /// Angles by which a thigh is raised, radians; the knee bends by twice as much, so that the sole stays level.
 const RAISED: [f64; 4] = [0.15, 0.3, 0.45, 0.6];
@@ -115,8 +116,9 @@ impl Looks<'_> {
                 self.gains(t, frame, RAISED.iter().map(|&angle| lifted(frame, side, angle)))
             };
             let gains: Vec<Option<Vec<f64>>> = self.state.frames.par_iter().enumerate().map(gains_of).collect();
-            let usual: Vec<f64> =
-                (0..RAISED.len()).map(|a| median(gains.iter().flatten().map(|g| g[a])).max(0.0)).collect();
+            let usual: Vec<f64> = (0..RAISED.len())
+                .map(|a| median(gains.iter().flatten().map(|g| g[a])).unwrap_or(0.0).max(0.0))
+                .collect();
             for (t, gains) in gains.iter().enumerate() {
                 let unusual = gains.iter().flatten().zip(&usual).map(|(gain, usual)| gain - usual);
                 if let Some(angle) = best(RAISED.into_iter().zip(unusual), MARGIN) {
@@ -145,10 +147,4 @@ impl Looks<'_> {
 /// The angle that gains most, and more than `margin`.
 fn best(gains: impl Iterator<Item = (f64, f64)>, margin: f64) -> Option<f64> {
     gains.filter(|(_, gain)| *gain > margin).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(angle, _)| angle)
-}
-
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

@@ -4,6 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::macros::{Params, RACES};
+use crate::math::normal;
 
 /// What the macro axes tie to each other varies by itself in people: lengths of limbs and trunk, breadths, girths.
 /// Pairs of targets (`…-decr`, `…-incr`) and the deviation of their weight; a weight of 0.1 is 5–10 mm of length.
@@ -34,14 +35,9 @@ impl Population {
         low + (high - low) * self.rng.random::<f64>()
     }
 
-    /// A normal value (Box and Muller), cut to the axes' range 0..1.
+    /// A normal value, cut to the axes' range 0..1.
     fn normal(&mut self, mean: f64, deviation: f64) -> f64 {
-        (mean + deviation * self.standard_normal()).clamp(0.0, 1.0)
-    }
-
-    fn standard_normal(&mut self) -> f64 {
-        let (radius, angle) = (1.0 - self.rng.random::<f64>(), self.rng.random::<f64>());
-        (-2.0 * radius.ln()).sqrt() * (std::f64::consts::TAU * angle).cos()
+        (mean + deviation * normal(&mut self.rng)).clamp(0.0, 1.0)
     }
 
     /// An adult: mostly clearly a woman or a man, half of them young, slim to heavy, short to tall, of mixed descent.
@@ -55,7 +51,7 @@ impl Population {
         let races = std::array::from_fn::<f64, { RACES.len() }, _>(|_| self.uniform(0.02, 1.0).powi(3));
         let sum: f64 = races.iter().sum();
         let details = DETAILS.map(|(target, deviation)| {
-            let weight = (deviation * self.standard_normal()).clamp(-1.0, 1.0);
+            let weight = (deviation * normal(&mut self.rng)).clamp(-1.0, 1.0);
             (format!("{target}-{}", if weight < 0.0 { "decr" } else { "incr" }), weight.abs())
         });
         Params {

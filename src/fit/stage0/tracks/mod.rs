@@ -11,12 +11,14 @@ mod tests;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
+use super::noise::MEDIAN_DISTANCE;
 use super::rig::{Point, Posed};
 use super::state::State;
 use super::{Candidate, RoundProgress, Stage0Error, contour};
 use crate::body::Body;
 use crate::body::joints::{LEFT_FOOT, LEFT_HAND, LEFT_WRIST, RIGHT_FOOT, RIGHT_HAND, RIGHT_WRIST};
 use crate::capture::Capture;
+use crate::math::median;
 use search::Track;
 
 /// Rounds of descent.
@@ -103,9 +105,7 @@ fn noise(best: &Candidate, height: f64) -> f64 {
             all.push(camera.project(place).distance(*at));
         }
     }
-    all.sort_by(f64::total_cmp);
-    let median = all.get(all.len() / 2).copied().unwrap_or(0.0);
-    (median / 1.1774).clamp(LEAST_NOISE * height, MOST_NOISE * height)
+    (median(all).unwrap_or(0.0) / MEDIAN_DISTANCE).clamp(LEAST_NOISE * height, MOST_NOISE * height)
 }
 
 /// The surface of one frame.
