@@ -1,10 +1,11 @@
 //! What is looked at in every frame: whether the mask holds a person, and whether keypoints and poses are that person's.
 
 use super::keypoints::{Keypoints, Point};
-use super::rectify::{Rect, is_foreground};
+use super::rectify::Rect;
 use super::source::Picture;
 use super::{BadInput, KnownPoses, Part};
 use crate::camera::Camera;
+use crate::mask::is_foreground;
 
 /// The masks seen so far.
 #[derive(Default)]
@@ -369,7 +370,7 @@ mod tests {
         };
         let inverted = |_, v: u8| 255 - v;
         // Half of the person is dark.
-        let cut_out = |i: usize, v: u8| if v < 128 { 0 } else { 90 + 60 * (i / 800 % 2) as u8 };
+        let cut_out = |i: usize, v: u8| if is_foreground(v) { 90 + 60 * (i / 800 % 2) as u8 } else { 0 };
         for (change, told) in [
             (&inverted as &dyn Fn(usize, u8) -> u8, "have the background as foreground"),
             (&cut_out, "look like pictures: much of them is neither black nor foreground"),

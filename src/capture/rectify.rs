@@ -4,6 +4,7 @@ use super::BadInput;
 use super::lens::{undistort, valid_radius};
 use super::source::Picture;
 use crate::camera::Camera;
+use crate::mask::is_foreground;
 
 /// Pixels as a rectangle; `x1`, `y1` are exclusive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -159,11 +160,6 @@ impl Rectify {
         }
         out
     }
-}
-
-/// Foreground of a mask's pixel.
-pub(super) fn is_foreground(value: u8) -> bool {
-    value >= 128
 }
 
 /// A rectangle of a picture that is scaled down to `size`: the mean of `values` over the area of each new pixel.

@@ -3,6 +3,8 @@
 
 use image::{GrayImage, Rgb, RgbImage};
 
+use crate::mask::is_foreground;
+
 /// `10 log₁₀(1 / MSE)` in dB over all pixels and channels, range 1; infinite for equal pictures.
 ///
 /// # Panics
@@ -18,7 +20,7 @@ pub fn psnr(a: &RgbImage, b: &RgbImage) -> f64 {
 /// When the sizes differ.
 pub fn psnr_inside(a: &RgbImage, b: &RgbImage, mask: &GrayImage) -> Option<f64> {
     assert!(a.dimensions() == b.dimensions() && a.dimensions() == mask.dimensions(), "sizes");
-    let inside = a.pixels().zip(b.pixels()).zip(mask.pixels()).filter(|(_, m)| m.0[0] >= 128);
+    let inside = a.pixels().zip(b.pixels()).zip(mask.pixels()).filter(|(_, m)| is_foreground(m.0[0]));
     let mut inside = inside.map(|((p, q), _)| squares(p, q)).peekable();
     inside.peek()?;
     Some(decibels(inside))
@@ -55,7 +57,7 @@ pub fn ssim(a: &RgbImage, b: &RgbImage) -> f64 {
 pub fn ssim_inside(a: &RgbImage, b: &RgbImage, mask: &GrayImage) -> Option<f64> {
     assert_eq!(a.dimensions(), mask.dimensions(), "sizes");
     let fit = a.width() - 2 * RADIUS as u32;
-    let marked = |i: u32| mask.get_pixel(i % fit + RADIUS as u32, i / fit + RADIUS as u32).0[0] >= 128;
+    let marked = |i: u32| is_foreground(mask.get_pixel(i % fit + RADIUS as u32, i / fit + RADIUS as u32).0[0]);
     let map = ssim_map(a, b);
     let inside: Vec<f64> = map.iter().zip(0..).filter(|(_, i)| marked(*i)).map(|(s, _)| *s).collect();
     (!inside.is_empty()).then(|| inside.iter().sum::<f64>() / inside.len() as f64)
@@ -114,7 +116,7 @@ pub fn mask_iou(a: &GrayImage, b: &GrayImage) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions(), "sizes");
     let (mut both, mut either) = (0u64, 0u64);
     for (x, y) in a.as_raw().iter().zip(b.as_raw()) {
-        let (x, y) = (*x >= 128, *y >= 128);
+        let (x, y) = (is_foreground(*x), is_foreground(*y));
         both += (x && y) as u64;
         either += (x || y) as u64;
     }

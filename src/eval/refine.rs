@@ -9,6 +9,7 @@ use super::subject::Novel;
 use crate::avatar::{AvatarModel, Place, RenderSpec, Renderer};
 use crate::capture::Frame;
 use crate::fit::{FitConfig, FitState, Stage, refine_pose};
+use crate::mask::{self, is_foreground};
 
 /// Room around the mask in which the body may stand before it is refined, over the mask's longer side.
 const MARGIN: f64 = 0.12;
@@ -48,7 +49,7 @@ fn state_of(model: &Arc<AvatarModel>, spec: &RenderSpec, transl: [f32; 3]) -> Fi
 
 /// The picture round its mask; `None` where that is empty.
 fn frame(picture: &RgbImage, mask: &GrayImage) -> Option<Frame> {
-    let inside = mask.enumerate_pixels().filter(|(_, _, m)| m.0[0] >= 128);
+    let inside = mask.enumerate_pixels().filter(|(_, _, m)| is_foreground(m.0[0]));
     let (mut low, mut high) = ([u32::MAX; 2], [0; 2]);
     for (x, y, _) in inside {
         (low, high) = ([low[0].min(x), low[1].min(y)], [high[0].max(x + 1), high[1].max(y + 1)]);
@@ -68,7 +69,7 @@ fn frame(picture: &RgbImage, mask: &GrayImage) -> Option<Frame> {
         width,
         height,
         rgb: image::imageops::crop_imm(picture, x0, y0, width, height).to_image().into_raw(),
-        mask: cut.into_raw().into_iter().map(|m| if m >= 128 { 255 } else { 0 }).collect(),
+        mask: cut.into_raw().into_iter().map(mask::binary).collect(),
         keypoints: Vec::new(),
     })
 }

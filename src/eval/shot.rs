@@ -9,6 +9,7 @@ use super::report::{ImageFigures, ImageScore};
 use super::run::EvalError;
 use super::subject::Novel;
 use crate::avatar::{Background, RenderSpec, Renderer, Shading};
+use crate::mask::is_foreground;
 use crate::page::{heat_map, over, strip};
 
 /// Samples along a pixel's side of the compared pictures: the truth's are well antialiased.
@@ -48,7 +49,7 @@ impl Shot {
         let (truth, ours) = self.on(WHITE);
         let (dark_truth, dark_ours) = self.on(BLACK);
         let errors = flip_map(&truth, &ours);
-        let inside = errors.iter().zip(self.mask.pixels()).filter(|(_, m)| m.0[0] >= 128).map(|(e, _)| *e);
+        let inside = errors.iter().zip(self.mask.pixels()).filter(|(_, m)| is_foreground(m.0[0])).map(|(e, _)| *e);
         let figures = ImageFigures {
             psnr_db: psnr(&truth, &ours),
             ssim: ssim(&truth, &ours),
@@ -85,7 +86,7 @@ impl Shot {
         let (width, height) = truth.dimensions();
         let outlines = RgbImage::from_fn(width, height, |x, y| {
             let grey = (0.3 * mean(truth.get_pixel(x, y).0.map(f32::from).into_iter()).unwrap_or(0.0) + 178.0) as u8;
-            match (self.mask.get_pixel(x, y).0[0] >= 128, self.ours.get_pixel(x, y).0[3] >= 128) {
+            match (is_foreground(self.mask.get_pixel(x, y).0[0]), is_foreground(self.ours.get_pixel(x, y).0[3])) {
                 (true, false) => Rgb([30, 90, 220]),
                 (false, true) => Rgb([225, 50, 40]),
                 _ => Rgb([grey; 3]),
@@ -100,7 +101,9 @@ impl Shot {
     /// What either shows, with a little around it: x, y, width, height.
     fn bounds(&self) -> [u32; 4] {
         let (width, height) = self.truth.dimensions();
-        let shown = |x: u32, y: u32| self.mask.get_pixel(x, y).0[0] >= 128 || self.ours.get_pixel(x, y).0[3] >= 128;
+        let shown = |x: u32, y: u32| {
+            is_foreground(self.mask.get_pixel(x, y).0[0]) || is_foreground(self.ours.get_pixel(x, y).0[3])
+        };
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).filter(|&(x, y)| shown(x, y));
         let (mut low, mut high) = ([width, height], [0, 0]);
         for (x, y) in pixels {

@@ -18,6 +18,7 @@ use crate::body::joints::HEAD;
 use crate::body::{Body, N_POSE};
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
+use crate::mask::{self, is_foreground};
 use crate::ops::project::cpu::forward as project;
 use crate::ops::skinning::cpu::forward as pose_body;
 
@@ -225,7 +226,7 @@ fn cut(picture: &Frame, [left, top, side]: [f32; 3]) -> Option<Frame> {
         (y..y + height).flat_map(row).copied().collect()
     };
     let mask = rows(&picture.mask, 1);
-    let some = mask.iter().any(|&m| m >= 128);
+    let some = mask.iter().any(|&m| is_foreground(m));
     some.then(|| Frame {
         x0: picture.x0 + x,
         y0: picture.y0 + y,
@@ -249,7 +250,7 @@ fn enlarge(picture: &Frame, times: u32) -> Frame {
     let mask =
         GrayImage::from_raw(from.0, from.1, picture.mask.clone()).map(|mask| resize(&mask, to.0, to.1, CatmullRom));
     let (rgb, mask) = (rgb.unwrap_or_default().into_raw(), mask.unwrap_or_default().into_raw());
-    let mask = mask.into_iter().map(|m| if m >= 128 { 255 } else { 0 }).collect();
+    let mask = mask.into_iter().map(mask::binary).collect();
     Frame { x0, y0, width, height, rgb, mask, keypoints: picture.keypoints.clone(), ..*picture }
 }
 

@@ -3,6 +3,7 @@
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::gpu::{Buffer, Gpu};
+use crate::mask::is_foreground;
 use crate::ops::{PixelList, Target, pack_pixel};
 
 /// One resolution of one frame's crop.
@@ -69,8 +70,8 @@ impl Packed {
                 let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (2 * x + dx, 2 * y + dy)).map(|(x, y)| {
                     if x < self.width && y < self.height { self.rgbm[y * self.width + x] } else { [0; 4] }
                 });
-                let inside = four.iter().filter(|p| p[3] >= 128).count();
-                let counted = |p: &&[u8; 4]| inside == 0 || p[3] >= 128;
+                let inside = four.iter().filter(|p| is_foreground(p[3])).count();
+                let counted = |p: &&[u8; 4]| inside == 0 || is_foreground(p[3]);
                 let n = four.iter().filter(counted).count() as u32;
                 let mean = |c: usize| {
                     let sum: u32 = four.iter().filter(counted).map(|p| p[c] as u32).sum();
@@ -99,7 +100,7 @@ impl Packed {
             height: self.height as u32,
             camera,
             target: gpu.upload(label, &packed),
-            inside: PixelList::new(gpu, label, self.rgbm.iter().map(|p| p[3] >= 128)),
+            inside: PixelList::new(gpu, label, self.rgbm.iter().map(|p| is_foreground(p[3]))),
         }
     }
 }

@@ -1,6 +1,8 @@
 //! Questions to a binary mask.
 
-/// `[height, width]`, foreground ≥ 128.
+use crate::mask::is_foreground;
+
+/// `[height, width]`
 #[derive(Clone, Copy)]
 pub struct Mask<'a> {
     pub width: usize,
@@ -11,16 +13,16 @@ pub struct Mask<'a> {
 impl Mask<'_> {
     pub fn at(&self, x: i64, y: i64) -> bool {
         let inside = (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y);
-        inside && self.data[y as usize * self.width + x as usize] >= 128
+        inside && is_foreground(self.data[y as usize * self.width + x as usize])
     }
 
     pub fn area(&self) -> usize {
-        self.data.iter().filter(|&&v| v >= 128).count()
+        self.data.iter().filter(|&&v| is_foreground(v)).count()
     }
 
     /// Rows from the first to the last with foreground.
     pub fn height_px(&self) -> usize {
-        let row = |y: &usize| self.data[y * self.width..(y + 1) * self.width].iter().any(|&v| v >= 128);
+        let row = |y: &usize| self.data[y * self.width..(y + 1) * self.width].iter().any(|&v| is_foreground(v));
         let first = (0..self.height).find(row);
         let last = (0..self.height).rev().find(row);
         first.zip(last).map_or(0, |(a, b)| b + 1 - a)
@@ -44,7 +46,7 @@ impl Mask<'_> {
         let mut areas = Vec::new();
         let mut open = Vec::new();
         for start in 0..self.data.len() {
-            if seen[start] || self.data[start] < 128 {
+            if seen[start] || !is_foreground(self.data[start]) {
                 continue;
             }
             seen[start] = true;

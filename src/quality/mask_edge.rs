@@ -4,6 +4,7 @@
 use super::flag::{Flag, Kind};
 use crate::capture::{Capture, Frame};
 use crate::distance::signed_distance;
+use crate::mask::is_foreground;
 use crate::math::median;
 
 /// Pixels to either side of the mask's edge that are looked at.
@@ -42,7 +43,7 @@ pub fn edge_offset(frame: &Frame, height_px: usize) -> Option<f64> {
 /// first ones are inside. `None` without an edge, or where a distance is not in the picture.
 fn changes_by_distance(frame: &Frame) -> Option<Vec<f64>> {
     let (width, height) = (frame.width as usize, frame.height as usize);
-    let inside: Vec<bool> = frame.mask.iter().map(|&v| v >= 128).collect();
+    let inside: Vec<bool> = frame.mask.iter().map(|&v| is_foreground(v)).collect();
     let distance = signed_distance(&inside, width, height)?;
     let colours = frame.rgb.as_chunks::<3>().0;
     let (mut sums, mut counts) = ([0.0; 2 * REACH], [0u32; 2 * REACH]);
@@ -82,7 +83,7 @@ fn clip_offset(offsets: &[Option<f64>]) -> Option<f64> {
 pub fn settle_masks(capture: &mut Capture, offsets: &[Option<f64>]) -> Option<f64> {
     let offset = clip_offset(offsets)?;
     for frame in &mut capture.frames {
-        let inside: Vec<bool> = frame.mask.iter().map(|&v| v >= 128).collect();
+        let inside: Vec<bool> = frame.mask.iter().map(|&v| is_foreground(v)).collect();
         let Some(distance) = signed_distance(&inside, frame.width as usize, frame.height as usize) else { continue };
         let moved: Vec<u8> = distance.iter().map(|&d| if f64::from(d) < offset { 255 } else { 0 }).collect();
         // Nothing may be left of a small one.

@@ -3,6 +3,8 @@
 //! edges give some 0.4; what is blurred over several pixels comes near 1/16, since a smooth picture's second difference is a
 //! quarter as large at twice the resolution.
 
+use crate::mask::is_foreground;
+
 /// A direction tells something where it has this part of the other's energy: a motion of 9 px leaves more.
 const LESSER: f64 = 0.1;
 
@@ -18,7 +20,7 @@ impl Level {
     fn of(width: usize, height: usize, rgb: &[u8], mask: &[u8]) -> Self {
         let luma = |p: &[u8; 3]| (0.299 * f32::from(p[0]) + 0.587 * f32::from(p[1]) + 0.114 * f32::from(p[2])) / 255.0;
         let luma = rgb.as_chunks::<3>().0.iter().map(luma).collect();
-        Self { width, height, luma, inside: mask.iter().map(|&v| v >= 128).collect() }
+        Self { width, height, luma, inside: mask.iter().map(|&v| is_foreground(v)).collect() }
     }
 
     fn half(&self) -> Self {

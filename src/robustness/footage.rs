@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::avatar::{Quality, VideoWriter};
 use crate::camera::Camera;
 use crate::eval::Subject;
+use crate::mask::is_foreground;
 
 /// Our JSON of keypoints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -73,7 +74,7 @@ impl Footage {
     /// Mean height of the masks' boxes, pixels.
     pub fn person_px(&self) -> f64 {
         let height = |mask: &GrayImage| {
-            let row = |y: &u32| (0..mask.width()).any(|x| mask.get_pixel(x, *y).0[0] >= 128);
+            let row = |y: &u32| (0..mask.width()).any(|x| is_foreground(mask.get_pixel(x, *y).0[0]));
             let (first, last) = ((0..mask.height()).find(row), (0..mask.height()).rev().find(row));
             first.zip(last).map_or(0.0, |(a, b)| f64::from(b + 1 - a))
         };

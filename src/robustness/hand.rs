@@ -85,6 +85,7 @@ mod tests {
 
     use super::super::footage::testing::footage;
     use super::*;
+    use crate::mask::is_foreground;
 
     #[test]
     fn pictures_masks_and_keypoints_are_moved_alike() {
@@ -95,7 +96,7 @@ mod tests {
         assert_eq!(moved.keypoints.frames[0], clean.keypoints.frames[0]);
         // The mask's middle goes the way of a keypoint next to it.
         let middle = |f: &Footage, t: usize| {
-            let inside = || f.masks[t].enumerate_pixels().filter(|(_, _, m)| m.0[0] >= 128);
+            let inside = || f.masks[t].enumerate_pixels().filter(|(_, _, m)| is_foreground(m.0[0]));
             let sum = inside().fold(DVec2::ZERO, |sum, (x, y, _)| sum + DVec2::new(f64::from(x), f64::from(y)) + 0.5);
             sum / inside().count() as f64
         };

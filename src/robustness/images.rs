@@ -5,6 +5,7 @@ use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use super::footage::Footage;
+use crate::mask::is_foreground;
 
 /// Pixels of a smear.
 const SMEAR_PX: u32 = 9;
@@ -49,7 +50,7 @@ fn even(rows: f64) -> u32 {
 
 /// The first row of any mask, and the row after the last.
 fn rows(footage: &Footage) -> (u32, u32) {
-    let pixels = footage.masks.iter().flat_map(|m| m.enumerate_pixels()).filter(|(_, _, m)| m.0[0] >= 128);
+    let pixels = footage.masks.iter().flat_map(|m| m.enumerate_pixels()).filter(|(_, _, m)| is_foreground(m.0[0]));
     pixels.fold((u32::MAX, 0), |(low, high), (_, y, _)| (low.min(y), high.max(y + 1)))
 }
 

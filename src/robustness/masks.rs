@@ -6,6 +6,7 @@ use rand_pcg::Pcg64;
 
 use super::footage::Footage;
 use crate::body::joints::{LEFT_FOOT, LEFT_HAND, RIGHT_FOOT};
+use crate::mask::is_foreground;
 
 fn disc(mask: &mut GrayImage, centre: [f64; 2], radii: [f64; 2], value: u8) {
     let range = |c: f64, r: f64, side: u32| {
@@ -26,7 +27,7 @@ pub fn holes(footage: &mut Footage, rng: &mut Pcg64) {
     let radius = footage.person_px() / 25.0;
     for mask in &mut footage.masks {
         let inside: Vec<(u32, u32)> =
-            mask.enumerate_pixels().filter(|(_, _, m)| m.0[0] >= 128).map(|(x, y, _)| (x, y)).collect();
+            mask.enumerate_pixels().filter(|(_, _, m)| is_foreground(m.0[0])).map(|(x, y, _)| (x, y)).collect();
         for _ in 0..3.min(inside.len()) {
             let (x, y) = inside[rng.random_range(0..inside.len())];
             disc(mask, [f64::from(x), f64::from(y)], [radius; 2], 0);
@@ -51,7 +52,7 @@ fn offset(footage: &mut Footage, grow: bool) {
         let (width, height) = (i64::from(old.width()), i64::from(old.height()));
         let inside = |x: i64, y: i64| {
             let within = (0..width).contains(&x) && (0..height).contains(&y);
-            within && old.get_pixel(x as u32, y as u32).0[0] >= 128
+            within && is_foreground(old.get_pixel(x as u32, y as u32).0[0])
         };
         *mask = GrayImage::from_fn(old.width(), old.height(), |x, y| {
             let mut around = reach.iter().map(|(dx, dy)| inside(i64::from(x) + dx, i64::from(y) + dy));
@@ -98,7 +99,7 @@ mod tests {
     use super::*;
 
     fn area(mask: &GrayImage) -> usize {
-        mask.pixels().filter(|m| m.0[0] >= 128).count()
+        mask.pixels().filter(|m| is_foreground(m.0[0])).count()
     }
 
     fn after(spoil: fn(&mut Footage, &mut Pcg64)) -> Vec<usize> {

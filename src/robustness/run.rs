@@ -17,6 +17,7 @@ use crate::avatar::{AvatarModel, Renderer};
 use crate::eval::{EvalOptions, ImageFigures, Subject, evaluate};
 use crate::fingerprint::Fingerprint;
 use crate::gpu::Gpu;
+use crate::mask::is_foreground;
 use crate::page::{shrunk, strip};
 
 /// What all cases share.
@@ -216,7 +217,7 @@ fn measure(
 /// The first frame, dark where the mask has nothing.
 fn first_frame(footage: &Footage) -> RgbImage {
     let mut picture = footage.frames[0].clone();
-    for (pixel, _) in picture.pixels_mut().zip(footage.masks[0].pixels()).filter(|(_, m)| m.0[0] < 128) {
+    for (pixel, _) in picture.pixels_mut().zip(footage.masks[0].pixels()).filter(|(_, m)| !is_foreground(m.0[0])) {
         pixel.0 = pixel.0.map(|c| c / 3);
     }
     picture

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crate::camera::Camera;
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
+use crate::mask::is_foreground;
 use crate::ops::edge_gradient::{EdgeGradient, RgbGradient};
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
 use crate::ops::nmr::{Nmr, NmrConfig};
@@ -61,7 +62,7 @@ impl View {
         let packed: Vec<u32> = pixels.iter().map(|&[r, g, b, a]| pack_pixel([r, g, b], a)).collect();
         Self {
             target: gpu.upload("study/target", &packed),
-            inside: PixelList::new(gpu, "study/inside", pixels.iter().map(|p| p[3] >= 128)),
+            inside: PixelList::new(gpu, "study/inside", pixels.iter().map(|p| is_foreground(p[3]))),
             camera,
         }
     }

@@ -17,6 +17,7 @@ use crate::body::{Body, N_JOINTS, N_POSE};
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureInputs, CaptureOptions, Frame};
 use crate::gpu::Gpu;
+use crate::mask::is_foreground;
 use crate::npz::Npz;
 use crate::ops::adam::{Adam, AdamConfig};
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
@@ -382,7 +383,7 @@ fn face_colours(gpu: &Gpu, truth: &Truth, corners: &Arc<Corners>, topology: &Top
         hard.forward(&mut recorder, camera, &view);
         recorder.submit()?;
         for (face, pixel) in gpu.read(&hard.pix_to_face)?.into_iter().zip(whole(frame, camera)) {
-            if let (Ok(face), true) = (usize::try_from(face), pixel[3] >= 128) {
+            if let (Ok(face), true) = (usize::try_from(face), is_foreground(pixel[3])) {
                 (0..3).for_each(|c| sums[face][c] += pixel[c] as f32 / 255.0);
                 sums[face][3] += 1.0;
             }

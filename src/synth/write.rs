@@ -12,6 +12,7 @@ use crate::avatar::ply::{self, Mesh};
 use crate::avatar::{Pose, Quality, VideoWriter};
 use crate::body::{Body, JOINT_NAMES};
 use crate::camera::Camera;
+use crate::mask;
 use crate::npz::NpzWriter;
 
 /// An entry of `novel/novel.json`.
@@ -228,7 +229,5 @@ impl FolderWriter {
 
 /// 255 where at least half of the pixel is covered.
 fn binary(coverage: &GrayImage) -> GrayImage {
-    GrayImage::from_fn(coverage.width(), coverage.height(), |x, y| {
-        Luma([if coverage.get_pixel(x, y).0[0] >= 128 { 255 } else { 0 }])
-    })
+    GrayImage::from_fn(coverage.width(), coverage.height(), |x, y| Luma([mask::binary(coverage.get_pixel(x, y).0[0])]))
 }

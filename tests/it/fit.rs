@@ -15,6 +15,7 @@ use effigy::fit::stage0::{self, Stage0Options};
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, Inputs, StepReport, Texels};
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::{JobOptions, Preset};
+use effigy::mask::is_foreground;
 use effigy::synth::{SynthOptions, synthesise};
 use effigy::worker::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput};
 use effigy::worker::pipeline::{Preview, Progress, Stage, StopReason};
@@ -272,7 +273,7 @@ fn picture_error(gpu: &Arc<Gpu>, model: AvatarModel, capture: &Capture) -> f64 {
     for (k, frame) in capture.frames.iter().enumerate() {
         let camera = capture.camera.cropped(frame.x0 as i32, frame.y0 as i32, frame.width, frame.height);
         let picture = renderer.render(&RenderSpec { camera, ..RenderSpec::of_frame(&model, k) }).unwrap();
-        let inside = |x: u32, y: u32| frame.mask.get((y * frame.width + x) as usize).is_some_and(|&m| m >= 128);
+        let inside = |x: u32, y: u32| frame.mask.get((y * frame.width + x) as usize).is_some_and(|&m| is_foreground(m));
         for (x, y, ours) in picture.enumerate_pixels() {
             let around = x > 0 && y > 0 && inside(x - 1, y) && inside(x + 1, y) && inside(x, y - 1) && inside(x, y + 1);
             if around && ours.0[3] == 255 {

@@ -6,6 +6,7 @@ use super::{FEET, Head, OF_TOES};
 use crate::body::Body;
 use crate::capture::{Capture, Frame};
 use crate::fit::stage0::Stage0Result;
+use crate::mask::is_foreground;
 use crate::ops::project::cpu::forward as project;
 use crate::ops::skinning::cpu::forward;
 
@@ -94,7 +95,7 @@ fn colour(frame: &Frame, [x, y]: [f32; 2]) -> Option<[u8; 3]> {
     let within = (0.0..frame.width as f32).contains(&x) && (0.0..frame.height as f32).contains(&y);
     let pixel = within.then(|| y as usize * frame.width as usize + x as usize)?;
     let colour = frame.rgb.get(3 * pixel..)?.first_chunk::<3>()?;
-    (*frame.mask.get(pixel)? >= 128).then_some(*colour)
+    is_foreground(*frame.mask.get(pixel)?).then_some(*colour)
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ use super::unseen;
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
 use crate::gpu::{Buffer, GpuError};
+use crate::mask::is_foreground;
 use crate::ops::light::{Exposure, Light};
 
 /// What [`solve_face_colours`] found.
@@ -101,7 +102,7 @@ fn observe(
         let (mut colour, mut seen) = (Vec::new(), Vec::new());
         let pixels: Vec<[u8; 4]> = gpu.read(&level.target)?.into_iter().map(u32::to_le_bytes).collect();
         for (pixel, well_inside) in pixels.iter().zip(well_inside(&pixels, level.width as usize)) {
-            let inside = if pixel[3] >= 128 { 1.0f32 } else { 0.0 };
+            let inside = if is_foreground(pixel[3]) { 1.0f32 } else { 0.0 };
             colour.extend([0, 1, 2].map(|c| inside * pixel[c] as f32 / 255.0));
             // Three channels: the first counts all pixels, the second those well inside.
             seen.extend([inside, f32::from(u8::from(well_inside)), 0.0]);
@@ -142,7 +143,7 @@ fn observe(
 /// must not learn that.
 pub fn well_inside(pixels: &[[u8; 4]], width: usize) -> impl Iterator<Item = bool> {
     let height = pixels.len().checked_div(width).unwrap_or(0);
-    let inside = move |x: usize, y: usize| x < width && y < height && pixels[y * width + x][3] >= 128;
+    let inside = move |x: usize, y: usize| x < width && y < height && is_foreground(pixels[y * width + x][3]);
     let well = move |(x, y): (usize, usize)| {
         let around = [(1, 1), (0, 1), (2, 1), (1, 0), (1, 2)];
         around.iter().all(|&(dx, dy)| inside((x + dx).wrapping_sub(1), (y + dy).wrapping_sub(1)))

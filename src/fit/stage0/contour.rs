@@ -18,6 +18,7 @@ use crate::body::joints::{
     RIGHT_HIP, RIGHT_WRIST,
 };
 use crate::capture::{Capture, Frame};
+use crate::mask::is_foreground;
 
 /// Times that outlines are matched anew: before steps are looked for, and again where there are some.
 const ROUNDS: usize = 3;
@@ -125,7 +126,7 @@ fn mask_cells(frame: &Frame, grid: &Grid) -> Vec<bool> {
             let at = grid.centre(column, row) - DVec2::new(f64::from(frame.x0), f64::from(frame.y0));
             if at.x >= 0.0 && at.y >= 0.0 && at.x < f64::from(frame.width) && at.y < f64::from(frame.height) {
                 let pixel = at.y as usize * frame.width as usize + at.x as usize;
-                inside[row * grid.width + column] = frame.mask.get(pixel).is_some_and(|m| *m >= 128);
+                inside[row * grid.width + column] = frame.mask.get(pixel).is_some_and(|m| is_foreground(*m));
             }
         }
     }

@@ -16,6 +16,7 @@ use crate::body::N_POSE;
 use crate::body::joints::{LEFT_SHOULDER, RIGHT_SHOULDER};
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
+use crate::mask::is_foreground;
 use crate::page::{Curve, Page, chart, heat_map, inline_jpeg, over, shrunk, strip};
 
 /// Frames shown for being the worst, and frames spread over the clip.
@@ -74,7 +75,7 @@ fn comparison(frame: &Frame, ours: &RgbaImage) -> RgbImage {
     let white = RgbImage::from_pixel(width, height, Rgb([255; 3]));
     let on_white = over(ours, &white);
     let error = |x: u32, y: u32| {
-        let theirs = if frame.mask[at(x, y)] >= 128 { input.get_pixel(x, y).0 } else { [255; 3] };
+        let theirs = if is_foreground(frame.mask[at(x, y)]) { input.get_pixel(x, y).0 } else { [255; 3] };
         let ours = on_white.get_pixel(x, y).0;
         (0..3).map(|k| f32::from(ours[k].abs_diff(theirs[k]))).sum::<f32>() / (3.0 * 255.0)
     };

@@ -8,6 +8,7 @@ use crate::avatar::{Background, RenderSpec, Renderer};
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::eval::mask_iou;
+use crate::mask::is_foreground;
 
 /// Mask overlap and image fidelity of one training frame.
 pub(super) struct FrameScore {
@@ -66,7 +67,7 @@ fn psnr_on_white(picture: &image::RgbaImage, frame: &Frame, camera: &Camera) -> 
         let alpha = pixel.0[3] as f64 / 255.0;
         for (ours, theirs) in pixel.0[..3].iter().zip(rgb) {
             let ours = alpha * *ours as f64 / 255.0 + (1.0 - alpha);
-            let theirs = if mask >= 128 { *theirs as f64 / 255.0 } else { 1.0 };
+            let theirs = if is_foreground(mask) { *theirs as f64 / 255.0 } else { 1.0 };
             squares += (ours - theirs).powi(2);
         }
     }

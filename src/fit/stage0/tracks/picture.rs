@@ -3,6 +3,7 @@
 use glam::DVec2;
 
 use crate::capture::Frame;
+use crate::mask::is_foreground;
 
 /// One size of a frame.
 pub struct Level {
@@ -28,7 +29,7 @@ impl Picture {
             width: frame.width as usize,
             height: frame.height as usize,
             grey: frame.rgb.chunks_exact(3).map(luma).collect(),
-            inside: frame.mask.iter().map(|m| *m >= 128).collect(),
+            inside: frame.mask.iter().map(|m| is_foreground(*m)).collect(),
         }];
         while pyramid.len() < levels {
             let half = pyramid[pyramid.len() - 1].half();
