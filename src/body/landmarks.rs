@@ -1,6 +1,11 @@
 //! Keypoint formats of the usual detectors, read off a body's joints and a few surface landmarks.
 
+use super::joints::{
+    LEFT_ANKLE, LEFT_ELBOW, LEFT_HIP, LEFT_KNEE, LEFT_SHOULDER, LEFT_WRIST, NECK, PELVIS, RIGHT_ANKLE, RIGHT_ELBOW,
+    RIGHT_HIP, RIGHT_KNEE, RIGHT_SHOULDER, RIGHT_WRIST,
+};
 use super::{KeypointSet, KeypointSource};
+use crate::keypoints::{FORMATS, Keypoint, Part, Side};
 use KeypointSource::{Joint, Vertices};
 
 /// Surface vertices that the detectors' formats need beside the joints; several vertices stand for their mean.
@@ -16,30 +21,33 @@ pub struct Landmarks {
 }
 
 impl Landmarks {
-    /// The sets `coco17`, `coco18` (OpenPose's 18 points) and `body25`. Neck and mid-hip are SMPL's neck and pelvis.
+    /// The sets of [`FORMATS`]. Neck and mid-hip are SMPL's neck and pelvis.
     pub fn keypoint_sets(&self) -> Vec<KeypointSet> {
-        let point = |vertices: &Vec<u32>| Vertices(vertices.clone());
-        let nose = point(&self.nose);
-        let [left_eye, right_eye] = self.eyes.each_ref().map(point);
-        let [left_ear, right_ear] = self.ears.each_ref().map(point);
+        let set = |(format, points): (&str, &[Keypoint])| KeypointSet {
+            format: format.to_owned(),
+            points: points.iter().map(|point| self.source(*point)).collect(),
+        };
+        FORMATS.map(set).into()
+    }
 
-        let mut coco17 = vec![nose.clone(), left_eye.clone(), right_eye.clone(), left_ear.clone(), right_ear.clone()];
-        coco17.extend([16, 17, 18, 19, 20, 21, 1, 2, 4, 5, 7, 8].map(Joint));
-
-        let face = [right_eye, left_eye, right_ear, left_ear];
-        let mut coco18 = vec![nose.clone()];
-        coco18.extend([12, 17, 19, 21, 16, 18, 20, 2, 5, 8, 1, 4, 7].map(Joint));
-        coco18.extend(face.clone());
-
-        let mut body25 = vec![nose];
-        body25.extend([12, 17, 19, 21, 16, 18, 20, 0, 2, 5, 8, 1, 4, 7].map(Joint));
-        body25.extend(face);
-        for side in 0..2 {
-            body25.extend([&self.big_toes[side], &self.small_toes[side], &self.heels[side]].map(point));
+    fn source(&self, (part, side): Keypoint) -> KeypointSource {
+        let k = usize::from(side == Side::Right);
+        let joint = |[left, right]: [usize; 2]| Joint([left, right][k] as u32);
+        match part {
+            Part::Nose => Vertices(self.nose.clone()),
+            Part::Eye => Vertices(self.eyes[k].clone()),
+            Part::Ear => Vertices(self.ears[k].clone()),
+            Part::BigToe => Vertices(self.big_toes[k].clone()),
+            Part::SmallToe => Vertices(self.small_toes[k].clone()),
+            Part::Heel => Vertices(self.heels[k].clone()),
+            Part::Neck => joint([NECK; 2]),
+            Part::MidHip => joint([PELVIS; 2]),
+            Part::Shoulder => joint([LEFT_SHOULDER, RIGHT_SHOULDER]),
+            Part::Elbow => joint([LEFT_ELBOW, RIGHT_ELBOW]),
+            Part::Wrist => joint([LEFT_WRIST, RIGHT_WRIST]),
+            Part::Hip => joint([LEFT_HIP, RIGHT_HIP]),
+            Part::Knee => joint([LEFT_KNEE, RIGHT_KNEE]),
+            Part::Ankle => joint([LEFT_ANKLE, RIGHT_ANKLE]),
         }
-
-        [("coco17", coco17), ("coco18", coco18), ("body25", body25)]
-            .map(|(format, points)| KeypointSet { format: format.to_owned(), points })
-            .into()
     }
 }

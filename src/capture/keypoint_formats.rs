@@ -1,6 +1,7 @@
 //! Conventions of 2D keypoints, and how those with more points than a fit looks at are read.
 
 use super::keypoints::Point;
+use crate::keypoints as order;
 
 /// A convention of keypoints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -13,9 +14,9 @@ pub(super) struct Format {
 
 const NONE: usize = usize::MAX;
 
-pub(super) const COCO17: Format = Format { name: "coco17", points: 17, as_body25: None };
-pub(super) const COCO18: Format = Format { name: "coco18", points: 18, as_body25: None };
-pub(super) const BODY25: Format = Format { name: "body25", points: 25, as_body25: None };
+pub(super) const COCO17: Format = Format { name: "coco17", points: order::COCO17.len(), as_body25: None };
+pub(super) const COCO18: Format = Format { name: "coco18", points: order::COCO18.len(), as_body25: None };
+pub(super) const BODY25: Format = Format { name: "body25", points: order::BODY25.len(), as_body25: None };
 /// BlazePose's, which MediaPipe gives. It has no small toes; the hands' and most of the face's points are not used.
 const MEDIAPIPE33: Format = Format {
     name: "mediapipe33",
@@ -91,29 +92,40 @@ mod tests {
         );
     }
 
-    /// The names as MediaPipe, Halpe-FullBody and COCO-WholeBody document them, against the body's own of body25.
+    /// `left_big_toe`
+    fn name((part, side): order::Keypoint) -> String {
+        let mut name = match side {
+            order::Side::Middle => String::new(),
+            side => format!("{side:?}").to_lowercase(),
+        };
+        for c in format!("{part:?}").chars() {
+            if c.is_uppercase() && !name.is_empty() {
+                name.push('_');
+            }
+            name.push(c.to_ascii_lowercase());
+        }
+        name
+    }
+
+    /// The names as MediaPipe, Halpe-FullBody and COCO-WholeBody document them, against those of body25's points.
     #[test]
     fn points_of_wider_formats_are_what_body25_calls_them() {
         let mediapipe = "nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear \
             mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_pinky \
             right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee right_knee left_ankle \
             right_ankle left_heel right_heel left_big_toe right_big_toe";
-        let coco = "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist \
-            right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle";
+        let coco = order::COCO17.map(name).join(" ");
         let halpe = format!(
             "{coco} head neck mid_hip left_big_toe right_big_toe left_small_toe right_small_toe left_heel right_heel"
         );
         let feet = "left_big_toe left_small_toe left_heel right_big_toe right_small_toe right_heel";
         let whole = format!("{coco} {feet}{}", " other".repeat(110));
-        let body25 = "nose neck right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist mid_hip right_hip \
-            right_knee right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear left_big_toe \
-            left_small_toe left_heel right_big_toe right_small_toe right_heel";
         for (format, names) in [(MEDIAPIPE33, mediapipe), (HALPE26, &halpe), (WHOLEBODY133, &whole)] {
             let names: Vec<&str> = names.split_whitespace().collect();
             assert_eq!(names.len(), format.points, "{}", format.name);
             let person = (0..format.points).map(|k| [k as f64, 0.0, 1.0]).collect();
             let used = format.to_used(person);
-            for (point, want) in used.iter().zip(body25.split_whitespace()) {
+            for (point, want) in used.iter().zip(order::BODY25.map(name)) {
                 match names.iter().position(|name| *name == want) {
                     Some(k) => assert_eq!(*point, [k as f64, 0.0, 1.0], "{}: {want}", format.name),
                     None => assert_eq!(*point, [0.0; 3], "{}: {want}", format.name),

@@ -6,17 +6,9 @@ use crate::body::{Body, KeypointSet};
 use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::gpu::{Buffer, Gpu, Recorder};
+use crate::keypoints::{Part, points_of};
 use crate::ops::LossSlot;
 use crate::ops::keypoints::{KeypointGather, KeypointLoss};
-
-/// Indices of nose, elbows, wrists, knees and ankles, then of the hips.
-fn points_of(format: &str) -> (&'static [usize], [usize; 2]) {
-    match format {
-        "coco17" => (&[0, 7, 8, 9, 10, 13, 14, 15, 16], [11, 12]),
-        "coco18" => (&[0, 3, 4, 6, 7, 9, 10, 12, 13], [8, 11]),
-        _ => (&[0, 3, 4, 6, 7, 10, 11, 13, 14], [9, 12]), // body25
-    }
-}
 
 /// Geman & McClure's scale, as a part of the image's longer side: a wrong detection must not pull a limb away.
 const RHO: f32 = 0.02;
@@ -39,14 +31,15 @@ pub struct KeypointTerm {
 
 impl KeypointTerm {
     pub fn new(gpu: &Gpu, body: &Body, capture: &Capture, camera: &Camera, with_hips: bool) -> Option<Self> {
+        use Part::{Ankle, Elbow, Hip, Knee, Nose, Wrist};
+        let counts = |part| matches!(part, Nose | Elbow | Wrist | Knee | Ankle) || with_hips && part == Hip;
         let set: &KeypointSet = body.keypoint_set(&capture.keypoint_format)?;
-        let (limbs, hips) = points_of(&capture.keypoint_format);
-        let used = if with_hips { [limbs, &hips].concat() } else { limbs.to_vec() };
+        let used: Vec<bool> = points_of(&capture.keypoint_format)?.iter().map(|&(part, _)| counts(part)).collect();
         let n = set.points.len();
         let mut targets = Vec::with_capacity(capture.frames.len() * n * 3);
         for frame in &capture.frames {
             for (k, &[x, y, confidence]) in frame.keypoints.iter().enumerate() {
-                targets.extend([x, y, if used.contains(&k) { confidence } else { 0.0 }]);
+                targets.extend([x, y, if used.get(k) == Some(&true) { confidence } else { 0.0 }]);
             }
         }
         let side = camera.width.max(camera.height) as f32;
@@ -61,7 +54,7 @@ impl KeypointTerm {
             screen: zeros("screen", 2 * n),
             grad_points: zeros("grad_points", 3 * n),
             grad_screen: zeros("grad_screen", 2 * n),
-            unit: 1.0 / (used.len() as f32 * (0.01 * side).powi(2)),
+            unit: 1.0 / (used.iter().filter(|used| **used).count() as f32 * (0.01 * side).powi(2)),
         })
     }
 

@@ -7,6 +7,7 @@ use super::mask::Mask;
 use super::mask_edge::{self, edge_offset};
 use super::sharpness::sharpness;
 use crate::capture::{Capture, Frame};
+use crate::keypoints::{Keypoint, points_of};
 use crate::math::median;
 
 /// A point further from the mask than this part of the person's height belongs to something else: detectors miss by less.
@@ -72,7 +73,8 @@ fn measure_frame(capture: &Capture, frame: &Frame) -> FrameMeasures {
         let (x, y) = (f64::from(p[0]) - f64::from(frame.x0), f64::from(p[1]) - f64::from(frame.y0));
         p[2] >= SURE && !mask.is_near(x, y, OFF_MASK * height_px as f64)
     };
-    let limbs = limbs(&capture.keypoint_format);
+    let points = points_of(&capture.keypoint_format).unwrap_or_default();
+    let seen = |((part, _), [_, _, confidence]): (&Keypoint, &[f32; 3])| part.is_of_limb() && *confidence >= SEEN;
     FrameMeasures {
         frame: frame.index,
         mask_area_px: mask.area(),
@@ -81,18 +83,8 @@ fn measure_frame(capture: &Capture, frame: &Frame) -> FrameMeasures {
         border_px: border(capture, frame, &mask),
         sharpness: sharpness(width, height, &frame.rgb, &frame.mask),
         edge_offset_px: edge_offset(frame, height_px),
-        limbs_seen: limbs.filter(|&k| frame.keypoints.get(k).is_some_and(|p| p[2] >= SEEN)).count(),
+        limbs_seen: points.iter().zip(&frame.keypoints).filter(|point| seen(*point)).count(),
         points_off_mask: frame.keypoints.iter().filter(off).count(),
-    }
-}
-
-/// The twelve points of limbs of a format that the capture knows.
-fn limbs(format: &str) -> Box<dyn Iterator<Item = usize>> {
-    match format {
-        "coco17" => Box::new(5..17),
-        "coco18" => Box::new(2..14),
-        // The eighth is the middle of the hips.
-        _ => Box::new((2..8).chain(9..15)),
     }
 }
 

@@ -5,10 +5,8 @@ use rand_pcg::Pcg64;
 
 use super::footage::Footage;
 use crate::body::joints::{LEFT_SHOULDER, RIGHT_SHOULDER};
+use crate::keypoints::{COCO17, Side, partner};
 use crate::math::normal;
-
-/// COCO-17's left points; each partner is the next one.
-const LEFT: [usize; 8] = [1, 3, 5, 7, 9, 11, 13, 15];
 
 /// Noise of σ pixels on all points.
 pub fn noisy(footage: &mut Footage, sigma: f64, rng: &mut Pcg64) {
@@ -33,7 +31,8 @@ pub fn swapped_backs(footage: &mut Footage, _rng: &mut Pcg64) {
         // Seen from the front, the left shoulder is to the right.
         let [left, right] = [LEFT_SHOULDER, RIGHT_SHOULDER].map(|j| joints[j][0]);
         if left < right {
-            LEFT.iter().for_each(|&k| points.swap(k, k + 1));
+            let on_the_left = (0..COCO17.len()).filter(|&k| COCO17[k].1 == Side::Left);
+            on_the_left.for_each(|k| points.swap(k, partner(&COCO17, k)));
         }
     }
 }

@@ -30,7 +30,8 @@ const RULE: &[(&str, &[&str])] = &[
 ];
 
 /// Files that all may use, and that use only each other.
-const ROOT_LEAVES: &[&str] = &["atomic_file", "camera", "npz", "data_dir", "distance", "fingerprint", "mask", "math"];
+const ROOT_LEAVES: &[&str] =
+    &["atomic_file", "camera", "npz", "data_dir", "distance", "fingerprint", "keypoints", "mask", "math"];
 
 /// The program itself, which may use everything.
 const EXEMPT: &[&str] = &["lib", "main", "cli"];

@@ -12,15 +12,13 @@ use crate::body::joints::{LEFT_ANKLE, LEFT_FOOT, RIGHT_ANKLE, RIGHT_FOOT};
 use crate::body::{Body, KeypointSource};
 use crate::capture::Capture;
 use crate::fit::stage0::Stage0Result;
+use crate::keypoints::{COCO17, Part, Side, index_of};
 use crate::ops::Topology;
 
 /// Ankle and foot: left, right.
 const FEET: [[usize; 2]; 2] = [[LEFT_ANKLE, LEFT_FOOT], [RIGHT_ANKLE, RIGHT_FOOT]];
 /// Part of a vertex' weight from which on it belongs to the toes.
 const OF_TOES: f32 = 0.5;
-/// Nose, left and right ear among COCO's 17 points.
-const NOSE: usize = 0;
-const EARS: [usize; 2] = [3, 4];
 
 /// What of a body something covers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -84,14 +82,15 @@ impl Head {
     fn of(body: &Body, betas: &[f32]) -> Option<Self> {
         let set = body.keypoint_set("coco17")?;
         let shaped = body.shaped_vertices(betas);
-        let place = |point: usize| match set.points.get(point)? {
+        let place = |part, side| match set.points.get(index_of(&COCO17, (part, side))?)? {
             KeypointSource::Vertices(vertices) if !vertices.is_empty() => {
                 let sum: Vec3 = vertices.iter().map(|&v| Vec3::from(shaped[v as usize])).sum();
                 Some((sum / vertices.len() as f32, vertices[0] as usize))
             }
             _ => None,
         };
-        let [nose, left, right] = [place(NOSE)?, place(EARS[0])?, place(EARS[1])?];
+        let [nose, left, right] =
+            [place(Part::Nose, Side::Middle)?, place(Part::Ear, Side::Left)?, place(Part::Ear, Side::Right)?];
         Some(Self { nose: nose.0, ears: [left.0, right.0], ear_vertices: [left.1, right.1] })
     }
 

@@ -1,23 +1,7 @@
-//! What the points of each keypoint format stand for.
+//! What stage 0 knows of the points of a keypoint format.
 
-/// A place on the body that detectors look for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
-    Nose,
-    Eye,
-    Ear,
-    Neck,
-    Shoulder,
-    Elbow,
-    Wrist,
-    MidHip,
-    Hip,
-    Knee,
-    Ankle,
-    BigToe,
-    SmallToe,
-    Heel,
-}
+pub use crate::keypoints::Part;
+use crate::keypoints::{Side, partner, points_of};
 
 /// Which limbs a detector swaps together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,80 +68,14 @@ impl Part {
 
 /// The points of a format in its order, or `None` for a format we do not know.
 pub fn landmarks(format: &str) -> Option<Vec<Landmark>> {
-    use Part::*;
-    let (l, r, m) = (1.0, -1.0, 0.0);
-    let points: &[(Part, f64)] = match format {
-        "coco17" => &[
-            (Nose, m),
-            (Eye, l),
-            (Eye, r),
-            (Ear, l),
-            (Ear, r),
-            (Shoulder, l),
-            (Shoulder, r),
-            (Elbow, l),
-            (Elbow, r),
-            (Wrist, l),
-            (Wrist, r),
-            (Hip, l),
-            (Hip, r),
-            (Knee, l),
-            (Knee, r),
-            (Ankle, l),
-            (Ankle, r),
-        ],
-        "coco18" => &[
-            (Nose, m),
-            (Neck, m),
-            (Shoulder, r),
-            (Elbow, r),
-            (Wrist, r),
-            (Shoulder, l),
-            (Elbow, l),
-            (Wrist, l),
-            (Hip, r),
-            (Knee, r),
-            (Ankle, r),
-            (Hip, l),
-            (Knee, l),
-            (Ankle, l),
-            (Eye, r),
-            (Eye, l),
-            (Ear, r),
-            (Ear, l),
-        ],
-        "body25" => &[
-            (Nose, m),
-            (Neck, m),
-            (Shoulder, r),
-            (Elbow, r),
-            (Wrist, r),
-            (Shoulder, l),
-            (Elbow, l),
-            (Wrist, l),
-            (MidHip, m),
-            (Hip, r),
-            (Knee, r),
-            (Ankle, r),
-            (Hip, l),
-            (Knee, l),
-            (Ankle, l),
-            (Eye, r),
-            (Eye, l),
-            (Ear, r),
-            (Ear, l),
-            (BigToe, l),
-            (SmallToe, l),
-            (Heel, l),
-            (BigToe, r),
-            (SmallToe, r),
-            (Heel, r),
-        ],
-        _ => return None,
+    let points = points_of(format)?;
+    let landmark = |(k, &(part, side)): (usize, &(Part, Side))| {
+        let side = match side {
+            Side::Left => 1.0,
+            Side::Middle => 0.0,
+            Side::Right => -1.0,
+        };
+        Landmark { part, side, partner: partner(points, k) }
     };
-    let partner = |k: usize| {
-        let (part, side) = points[k];
-        points.iter().position(|&(p, s)| p == part && s == -side).unwrap_or(k)
-    };
-    Some(points.iter().enumerate().map(|(k, &(part, side))| Landmark { part, side, partner: partner(k) }).collect())
+    Some(points.iter().enumerate().map(landmark).collect())
 }

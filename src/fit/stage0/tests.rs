@@ -12,6 +12,7 @@ use super::tracks::Sighting;
 use super::{FocalCheck, Stage0Error, Stage0Options, Stage0Result, solve};
 use crate::body::Body;
 use crate::capture::KnownPoses;
+use crate::keypoints::{COCO17, Part, Side, index_of};
 
 fn solved(how: &Difficulty) -> (Clip, Stage0Result, Errors) {
     let body = Body::test_body();
@@ -440,7 +441,8 @@ fn a_detector_whose_habits_are_known() {
 
 /// How far hips and shoulders were moved onto the body's own, mean, pixels.
 fn moved_px(clip: &Clip, result: &Stage0Result) -> [f32; 2] {
-    let of = |points: [usize; 2]| {
+    let of = |part: Part| {
+        let points = [Side::Left, Side::Right].map(|side| index_of(&COCO17, (part, side)).unwrap());
         let mut moved = Vec::new();
         for (frame, understood) in clip.capture.frames.iter().zip(&result.keypoints) {
             for k in points.into_iter().filter(|&k| understood[k][2] > 0.0) {
@@ -450,7 +452,7 @@ fn moved_px(clip: &Clip, result: &Stage0Result) -> [f32; 2] {
         }
         moved.iter().sum::<f32>() / moved.len() as f32
     };
-    [of([11, 12]), of([5, 6])] // of coco17
+    [of(Part::Hip), of(Part::Shoulder)]
 }
 
 #[test]
