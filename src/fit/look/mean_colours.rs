@@ -3,8 +3,10 @@
 //! gradient.
 
 use super::Lit;
-use super::lamp::{Observation, Sky, albedos, of_face, solve_light, solve_shadowed_light};
+use super::albedo::{Observation, albedos};
+use super::lamp::{of_face, solve_light, solve_shadowed_light};
 use super::shadows::PosedClip;
+use super::sky::Sky;
 use super::unseen;
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;

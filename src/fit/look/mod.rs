@@ -1,5 +1,6 @@
 //! What colours the surface: one colour a face in stage 1, a texture in stage 2.
 
+mod albedo;
 mod faces;
 mod facing;
 mod lamp;
@@ -7,6 +8,9 @@ mod lit;
 mod mean_colours;
 mod model;
 mod shadows;
+mod sky;
+#[cfg(test)]
+mod testing;
 mod texture;
 mod unseen;
 
