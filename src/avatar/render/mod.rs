@@ -1,128 +1,22 @@
 //! Pictures of the avatar in any pose, from any camera, at any size; shaded from the hash texture: at each sample where that is much
 //! finer than the picture, else once for each surface that a pixel shows.
 
+mod lit;
+mod spec;
+
 use std::sync::{Arc, OnceLock};
 
 use image::{GrayImage, RgbaImage};
 
+use self::lit::LitBody;
+pub use self::spec::{Background, Light, Place, RenderSpec};
 use super::AvatarModel;
-use super::pose::{Pose, vertex_normals};
 use super::texture::SurfaceTexture;
-use super::trace::{MAX_SIDE_PX, Picture, Shading, SurfacePoint, Tracer};
-use crate::body::Body;
+use super::trace::{Picture, Shading, SurfacePoint, Tracer};
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
-use crate::ops::light::Exposure;
 use crate::ops::skinning::cpu::{Posed, forward};
 use crate::ops::texture_field::TextureFieldError;
-
-/// Where the person stands, world space, metres.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Place {
-    /// SMPL's `transl`: the pelvis ends at `J0(β) + transl`.
-    Transl([f32; 3]),
-    /// The position of the pelvis joint.
-    Pelvis([f32; 3]),
-}
-
-impl Place {
-    /// The same place as SMPL's `transl`, for a body of these betas.
-    pub fn transl(self, body: &Body, betas: &[f32]) -> [f32; 3] {
-        match self {
-            Place::Transl(transl) => transl,
-            Place::Pelvis(pelvis) => {
-                let at = body.shaped_joints(betas)[0];
-                std::array::from_fn(|k| pelvis[k] - at[k])
-            }
-        }
-    }
-}
-
-/// What lies behind the person.
-#[derive(Clone, Copy, Debug, PartialEq, Default)]
-pub enum Background {
-    #[default]
-    Transparent,
-    /// sRGB
-    Colour([u8; 3]),
-}
-
-/// The light of a picture: the one that the clip was filmed in, which stands still in the world, or none, which shows the
-/// albedo.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Light {
-    #[default]
-    Captured,
-    None,
-}
-
-/// A picture to render.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RenderSpec {
-    pub pose: Pose,
-    pub place: Place,
-    /// The avatar's own where absent; missing ones count as zero.
-    pub betas: Option<Vec<f32>>,
-    /// Size, intrinsics, world to camera, lens.
-    pub camera: Camera,
-    pub background: Background,
-    pub light: Light,
-    /// Samples along a pixel's side, 1 to 8: coverage is their mean, and each surface counts by its samples.
-    pub samples: u32,
-    /// `None`: as the texture asks for at this distance.
-    pub shading: Option<Shading>,
-}
-
-impl RenderSpec {
-    /// Captured frame `k` (an index into `frames`) as the capture's camera saw it, 3×3 samples a pixel, transparent.
-    ///
-    /// # Panics
-    /// When there is no such frame.
-    pub fn of_frame(model: &AvatarModel, k: usize) -> Self {
-        Self {
-            pose: model.poses[k],
-            place: Place::Transl(model.transl[k]),
-            betas: None,
-            camera: model.camera.clone(),
-            background: Background::Transparent,
-            light: Light::Captured,
-            samples: 3,
-            shading: None,
-        }
-    }
-
-    fn check(&self, model: &AvatarModel) -> Result<(), RenderError> {
-        let invalid = |what: String| Err(RenderError::Invalid(what));
-        let camera = &self.camera;
-        if !(1..=MAX_SIDE_PX).contains(&camera.width) || !(1..=MAX_SIDE_PX).contains(&camera.height) {
-            let (w, h) = (camera.width, camera.height);
-            return invalid(format!("camera: a picture of {w}×{h} px, expected 1 to {MAX_SIDE_PX} a side"));
-        }
-        let focal = |f: f64| f.is_finite() && f > 0.0;
-        if !focal(camera.fx) || !focal(camera.fy) {
-            return invalid(format!("camera: fx {} and fy {}, expected positive", camera.fx, camera.fy));
-        }
-        let numbers = [camera.cx, camera.cy];
-        let numbers = numbers.iter().chain(&camera.distortion).chain(&camera.rotation).chain(&camera.translation);
-        if numbers.into_iter().any(|x| !x.is_finite()) {
-            return invalid("camera: a value is not finite".to_owned());
-        }
-        let (Place::Transl(place) | Place::Pelvis(place)) = self.place;
-        if self.pose.iter().chain(&place).any(|x| !x.is_finite()) {
-            return invalid("pose: a value is not finite".to_owned());
-        }
-        if let Some(betas) = &self.betas
-            && (betas.len() > model.body.n_betas || betas.iter().any(|b| !b.is_finite()))
-        {
-            return invalid(format!("betas: {} values, expected at most {}, finite", betas.len(), model.body.n_betas));
-        }
-        if !(1..=8).contains(&self.samples) {
-            return invalid(format!("samples: {}, expected 1 to 8", self.samples));
-        }
-        Ok(())
-    }
-}
 
 /// Why a picture could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -136,6 +30,9 @@ pub enum RenderError {
     Gpu(#[from] GpuError),
 }
 
+/// The texture's cells along a pixel from which on a sample in its middle no longer stands for it.
+const CELLS_A_PIXEL: f64 = 3.0;
+
 /// An avatar on the device, ready to be drawn.
 pub struct Renderer {
     gpu: Arc<Gpu>,
@@ -145,9 +42,6 @@ pub struct Renderer {
     /// The side of the texture's finest cell on the surface, metres.
     cell_m: f64,
 }
-
-/// The texture's cells along a pixel from which on a sample in its middle no longer stands for it.
-const CELLS_A_PIXEL: f64 = 3.0;
 
 impl Renderer {
     pub fn new(gpu: &Arc<Gpu>, model: &Arc<AvatarModel>) -> Result<Self, RenderError> {
@@ -266,35 +160,6 @@ fn finest_cell(model: &AvatarModel) -> f64 {
     let sum = |of: &[[f32; 3]]| model.body.faces.iter().map(|&[a, b, _]| length(of, [a, b])).sum::<f64>();
     let metres = sum(&vertices) / sum(&model.texcoords).max(f64::MIN_POSITIVE);
     metres / model.texture_config.levels().last().map_or(1.0, |finest| finest.scale.max(1.0))
-}
-
-/// A posed body under the captured light.
-struct LitBody<'a> {
-    model: &'a AvatarModel,
-    /// `[V]`, unit
-    normals: Vec<[f32; 3]>,
-    /// `[V]`: what of the light reaches each vertex
-    exposures: Vec<Exposure>,
-}
-
-impl<'a> LitBody<'a> {
-    fn new(model: &'a AvatarModel, vertices: &[[f32; 3]]) -> Self {
-        let faces = &model.body.faces;
-        let normals = vertex_normals(vertices, faces);
-        Self { model, normals, exposures: model.light.exposures(vertices, faces) }
-    }
-
-    /// Puts the light on albedos.
-    fn shade(&self, points: &[SurfacePoint], colours: &mut [[f32; 3]]) {
-        for (point, rgb) in points.iter().zip(colours) {
-            let corners = self.model.body.faces[point.face as usize].map(|v| v as usize);
-            let weighted = |of: &dyn Fn(usize) -> f32| (0..3).map(|c| point.bary[c] * of(corners[c])).sum();
-            let normal = std::array::from_fn(|k| weighted(&|v| self.normals[v][k]));
-            let reaching = Exposure::weighted((0..3).map(|c| (point.bary[c], self.exposures[corners[c]])));
-            let shade = self.model.light.shade(normal, reaching);
-            *rgb = std::array::from_fn(|k| (rgb[k] * shade[k]).min(1.0));
-        }
-    }
 }
 
 #[cfg(test)]
