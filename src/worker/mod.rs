@@ -13,8 +13,11 @@
 
 pub mod channel;
 mod claims;
+mod control;
 mod device_thread;
+mod ending;
 mod engine;
+mod fit_observer;
 mod owner;
 pub mod pipeline;
 mod reaper;
