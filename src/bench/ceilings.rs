@@ -12,6 +12,7 @@ const LANES: [usize; 2] = [1 << 17, 1 << 20];
 const ROUNDS: usize = 64;
 const CHAINS: usize = 4;
 
+/// Kernels and buffers that show the limits of a device, as cases of the benchmark; [`Peaks`] are read off their times.
 pub struct Ceilings {
     copy: Arc<Kernel>,
     fma: Arc<Kernel>,

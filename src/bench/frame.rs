@@ -38,6 +38,7 @@ struct Gradients {
     texcoords: Buffer<f32>,
 }
 
+/// One frame of a fit at a [`Scale`] on the device: each operator with the inputs that it has there, so that it can be timed alone.
 pub struct Frame {
     camera: Camera,
     soft_params: SoftRasterizeParams,

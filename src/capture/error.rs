@@ -58,6 +58,7 @@ impl fmt::Display for BadInput {
 
 impl std::error::Error for BadInput {}
 
+/// Why a clip was not read.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// The sender's to mend.

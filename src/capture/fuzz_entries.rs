@@ -26,6 +26,7 @@ pub fn keypoints(bytes: &[u8]) {
     });
 }
 
+/// A camera: JSON.
 pub fn camera(bytes: &[u8]) {
     in_a_file(bytes, |path| {
         let Ok(camera) = calibration::read(path) else { return };

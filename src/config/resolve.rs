@@ -44,6 +44,7 @@ pub struct Effective {
     pub origin: Origin,
 }
 
+/// Why the settings cannot be used: the file, or a value with the place that it came from.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     #[error("the configuration {path}: {source}")]

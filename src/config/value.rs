@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+/// A kind of setting's value: [`Value::parse`] reads what [`Value::text`] writes.
 pub trait Value: Sized {
     /// What its values look like, for the documentation and for errors.
     fn kind() -> String;

@@ -50,6 +50,7 @@ impl ImageFigures {
     }
 }
 
+/// Intersection over union of a frame's mask and the avatar's there, 0 to 1.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct FrameIou {
     /// Frame of the video

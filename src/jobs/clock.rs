@@ -15,6 +15,7 @@ pub struct Steady {
     pub ms: i64,
 }
 
+/// The time as the service sees it, so that tests can own it.
 pub trait Clock: Send + Sync + 'static {
     fn now(&self) -> Timestamp;
 

@@ -229,6 +229,7 @@ pub struct Event {
     pub data: serde_json::Value,
 }
 
+/// What an event tells of its job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EventKind {
     State,
@@ -259,6 +260,7 @@ pub struct NewAvatar {
     pub files: Vec<AvatarFile>,
 }
 
+/// One of an avatar's files, named within its results folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AvatarFile {
     pub name: String,

@@ -62,6 +62,7 @@ pub struct NewKey {
     pub expires_at: Option<Timestamp>,
 }
 
+/// An API key as it is kept: all of it but its secret, of which the database has a hash.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Key {
     pub id: Uuid,

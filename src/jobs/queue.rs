@@ -50,6 +50,7 @@ impl Policy {
     }
 }
 
+/// Why the queue could not do what was asked; but for [`QueueError::Quota`], that is the server's fault.
 #[derive(Debug, thiserror::Error)]
 pub enum QueueError {
     #[error("the job database: {0}")]
@@ -93,6 +94,7 @@ pub enum Change {
     Unknown,
 }
 
+/// Answer to a wish to delete a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Deletion {
     /// The rows are gone; the files are the caller's to remove.

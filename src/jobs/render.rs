@@ -18,6 +18,7 @@ pub struct RenderRequest {
     pub what: What,
 }
 
+/// What is to be made of the avatar.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum What {
@@ -28,6 +29,7 @@ pub enum What {
     },
 }
 
+/// A picture of the avatar; its size is the camera's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ImageRequest {
     pub pose: PoseSource,
@@ -38,6 +40,7 @@ pub struct ImageRequest {
     pub background: Background,
 }
 
+/// Where a picture's pose comes from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PoseSource {
@@ -67,6 +70,7 @@ pub enum Light {
     None,
 }
 
+/// What lies behind the person: nothing, or sRGB.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Background {

@@ -118,6 +118,7 @@ impl Scores {
     }
 }
 
+/// Runs the study at this size; an error where its clip, the device or a fit fails.
 pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
     let options = SynthOptions {
         frames: settings.frames,

@@ -89,6 +89,7 @@ fn objective(rgb: bool) -> Objective {
     }
 }
 
+/// Runs the study at this size; an error where its clip, the device or a fit fails.
 pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
     let gpu = &context.gpu;
     let mut rng = Pcg64::seed_from_u64(context.seed);

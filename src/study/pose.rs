@@ -192,6 +192,7 @@ fn score(truth: &Truth, start: &[Placed], found: &[Placed]) -> Score {
     score
 }
 
+/// Runs the study at this size; an error where its clip, the device or a fit fails.
 pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
     let clip = SynthOptions {
         frames: settings.frames,

@@ -59,6 +59,7 @@ fn shortened(config: FitConfig, settings: &Settings) -> FitConfig {
     config
 }
 
+/// Runs the study at this size; an error where its clip, the device or a fit fails.
 pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
     let methods = [
         ("RGB + silhouettes", shortened(FitConfig::standard(context.seed), settings)),

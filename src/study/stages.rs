@@ -66,6 +66,7 @@ fn jaggedness(mesh: &Mesh) -> f64 {
     normal_consistency::cpu::forward(&pairs, &normals) / pairs.len().max(1) as f64
 }
 
+/// Runs the study at this size; an error where its clip, the device or a fit fails.
 pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
     let Settings { frames, size_px, truths, .. } = *settings;
     let options = SynthOptions {

@@ -99,6 +99,7 @@ struct Scores {
     values: [f64; 4],
 }
 
+/// Runs the study at this size; an error where its clip, the device or a fit fails.
 pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
     let Settings { frames, size_px, views, .. } = *settings;
     let options = SynthOptions {

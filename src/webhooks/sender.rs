@@ -34,6 +34,7 @@ pub fn install_cryptography() {
     let _ = rustls::crypto::ring::default_provider().install_default();
 }
 
+/// Sends signed messages, to public addresses only unless `private`.
 pub struct Sender {
     client: reqwest::Client,
     private: bool,

@@ -11,6 +11,7 @@ use crate::storage::Store;
 
 const ROUND: Duration = Duration::from_secs(2);
 
+/// Looks every other second for leases whose worker is dead or silent, deadlines that have passed, and files that nobody needs.
 pub struct Reaper {
     pub queue: Arc<dyn Queue>,
     pub store: Arc<Store>,

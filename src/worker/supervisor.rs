@@ -17,6 +17,7 @@ use tokio::time::{Instant, timeout_at};
 use super::channel::{Answer, Request, Word};
 use crate::jobs::render::{RenderError, RenderRequest, Renderer, What};
 
+/// How the server's worker process is started, waited for and started anew.
 #[derive(Clone, Debug)]
 pub struct SupervisorSettings {
     /// The worker's command line; its standard input and output become the channel.

@@ -26,6 +26,7 @@ pub struct CaptureInputs {
     pub poses: Option<PathBuf>,
 }
 
+/// How much of a clip a fit takes.
 #[derive(Clone, Copy, Debug)]
 pub struct CaptureOptions {
     /// At most this many frames are kept, evenly spread.

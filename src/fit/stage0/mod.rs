@@ -119,6 +119,7 @@ impl Stage0Result {
     }
 }
 
+/// Why no poses were found: keypoints or known poses that are not of this form, or show nobody.
 #[derive(Debug, thiserror::Error)]
 pub enum Stage0Error {
     #[error("the clip has no frames")]

@@ -41,6 +41,7 @@ pub fn event_type(state: State) -> String {
 pub const TOLD: [State; 6] =
     [State::Queued, State::Running, State::Succeeded, State::Failed, State::Canceled, State::Expired];
 
+/// A webhook to be made, of a key or of a service without keys; its messages are signed with `secret`.
 #[derive(Clone, Debug)]
 pub struct NewWebhook {
     pub key: Option<Uuid>,
@@ -49,6 +50,7 @@ pub struct NewWebhook {
     pub events: BTreeSet<String>,
 }
 
+/// A webhook as it is kept, without its secret.
 #[derive(Clone, Debug)]
 pub struct Webhook {
     pub id: Uuid,

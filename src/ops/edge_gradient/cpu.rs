@@ -55,6 +55,7 @@ fn channels<T: Real>(rgb: Option<&[T]>, alpha: &[T], i: usize) -> [T; 4] {
     [r, g, b, alpha[i]]
 }
 
+/// `[H, W, 2]`: the gradient of each pixel's place on the screen, x and y.
 pub fn grad_screen<T: Real>(pixels: &Pixels<'_, T>) -> Vec<T> {
     pixels.screen(|p, step, _, _| {
         let q = p.wrapping_add_signed(step);

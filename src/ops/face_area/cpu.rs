@@ -12,6 +12,7 @@ fn cost<T: Real>(r: T) -> (T, T) {
     (clamped + T::one() / clamped + slope * (r - clamped), slope)
 }
 
+/// The sum over the faces whose normal at rest is longer than `least_rest`; both `[F]`, not normalised.
 pub fn forward<T: Real>(normals: &[Vector<T>], rest_normals: &[Vector<T>], least_rest: T) -> T {
     let pairs = normals.iter().zip(rest_normals).map(|(&n, &rest)| (unit_or_zero(n).1, unit_or_zero(rest).1));
     pairs.filter(|&(_, rest)| rest > least_rest).map(|(norm, rest)| cost(norm / rest).0).sum()

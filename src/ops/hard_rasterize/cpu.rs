@@ -61,6 +61,7 @@ fn pixel_box<T: Real>(camera: &Camera, near: f64, t: &[[T; 3]; 3]) -> [std::ops:
     [range(camera.fx, camera.cx, 0, camera.width), range(camera.fy, camera.cy, 1, camera.height)]
 }
 
+/// What each pixel shows of the vertices `view`, `[V, 3]` in camera space, metres: the nearest face and where the ray meets it.
 pub fn forward<T: Real>(config: &HardRasterizeConfig, camera: &Camera, view: &[T], faces: &[[u32; 3]]) -> Image<T> {
     let n = camera.n_pixels();
     let mut image = Image {
@@ -140,6 +141,7 @@ pub fn screen_backward<T: Real>(
     }
 }
 
+/// `[H, W, 3]`: each pixel's face colour (`[F, 3]`), and `background` where there is no face.
 pub fn shade<T: Real>(pix_to_face: &[i32], face_colours: &[T], background: [T; 3]) -> Vec<T> {
     let colour = |&f: &i32| match usize::try_from(f) {
         Ok(f) => [face_colours[f * 3], face_colours[f * 3 + 1], face_colours[f * 3 + 2]],

@@ -6,6 +6,7 @@ fn weight<T: Real>(weights: Option<&[T]>, i: usize) -> T {
     weights.map_or(T::one(), |w| w[i / 3])
 }
 
+/// The weighted sum of absolute differences of two images `[H, W, 3]`.
 pub fn forward<T: Real>(image: &[T], target: &[T], weights: Option<&[T]>) -> T {
     let off = image.iter().zip(target).map(|(a, b)| (*a - *b).abs());
     off.enumerate().map(|(i, off)| weight(weights, i) * off).sum()

@@ -8,6 +8,7 @@ fn sums<T: Real>(alpha: &[T], mask: &[T]) -> (T, T) {
     (pairs().map(|(a, s)| *a * *s).sum(), pairs().map(|(a, s)| *a + *s - *a * *s).sum())
 }
 
+/// `1 − I/U` of two images `[H, W]`; zero where both are empty.
 pub fn forward<T: Real>(alpha: &[T], mask: &[T]) -> T {
     let (intersection, union) = sums(alpha, mask);
     if union > T::zero() { T::one() - intersection / union } else { T::zero() }

@@ -100,6 +100,8 @@ fn score<T: Real>(params: &SoftRasterizeParams, fragment: &Fragment<T>) -> T {
     nearness + log_sigmoids(fragment.x).0
 }
 
+/// Colours and coverage of all faces, of vertices `view` `[V, 3]` in camera space and colours `[F, 3]`, with what `backward` needs of
+/// each pixel.
 pub fn forward<T: Real>(
     params: &SoftRasterizeParams,
     camera: &Camera,
