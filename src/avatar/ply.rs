@@ -159,42 +159,56 @@ fn header(input: &mut impl BufRead) -> Result<Vec<Element>, PlyError> {
     unreachable!("the loop only ends by returning")
 }
 
+/// What the scalars of one row of an element say, as far as a vertex has them.
+#[derive(Default)]
+struct Row {
+    point: [f32; 3],
+    colour: [u8; 3],
+    has_colour: bool,
+}
+
+impl Row {
+    /// Reads the next row; lists of a face go to `faces`, as fans.
+    fn read(element: &Element, input: &mut impl Read, faces: &mut Vec<[u32; 3]>) -> Result<Self, PlyError> {
+        let mut row = Row::default();
+        for property in &element.properties {
+            match property {
+                Property::Scalar(name, kind) => row.set(name, kind.read(input)?),
+                Property::List(count, item) => {
+                    let n = count.read(input)? as usize;
+                    let corners = (0..n).map(|_| Ok(item.read(input)? as u32));
+                    let corners = corners.collect::<Result<Vec<u32>, PlyError>>()?;
+                    if element.name == "face" {
+                        faces.extend((2..n).map(|k| [corners[0], corners[k - 1], corners[k]]));
+                    }
+                }
+            }
+        }
+        Ok(row)
+    }
+
+    fn set(&mut self, name: &str, value: f64) {
+        match name {
+            "x" => self.point[0] = value as f32,
+            "y" => self.point[1] = value as f32,
+            "z" => self.point[2] = value as f32,
+            "red" => (self.colour[0], self.has_colour) = (value as u8, true),
+            "green" => self.colour[1] = value as u8,
+            "blue" => self.colour[2] = value as u8,
+            _ => {}
+        }
+    }
+}
+
 /// Reads a binary little-endian PLY of triangles (larger polygons become fans) with any scalar types.
 pub fn read(mut input: impl BufRead) -> Result<Mesh, PlyError> {
     let mut mesh = Mesh::default();
     for element in header(&mut input)? {
         for _ in 0..element.count {
-            let (mut point, mut colour, mut has_colour) = ([0.0f32; 3], [0u8; 3], false);
-            for property in &element.properties {
-                match property {
-                    Property::Scalar(name, kind) => {
-                        let value = kind.read(&mut input)?;
-                        match name.as_str() {
-                            "x" => point[0] = value as f32,
-                            "y" => point[1] = value as f32,
-                            "z" => point[2] = value as f32,
-                            "red" => (colour[0], has_colour) = (value as u8, true),
-                            "green" => colour[1] = value as u8,
-                            "blue" => colour[2] = value as u8,
-                            _ => {}
-                        }
-                    }
-                    Property::List(count, item) => {
-                        let n = count.read(&mut input)? as usize;
-                        let corners = (0..n).map(|_| Ok(item.read(&mut input)? as u32));
-                        let corners = corners.collect::<Result<Vec<u32>, PlyError>>()?;
-                        if element.name == "face" {
-                            let fan = (2..n).map(|k| [corners[0], corners[k - 1], corners[k]]);
-                            mesh.faces.extend(fan);
-                        }
-                    }
-                }
-            }
+            let row = Row::read(&element, &mut input, &mut mesh.faces)?;
             if element.name == "vertex" {
-                mesh.vertices.push(point);
-                if has_colour {
-                    mesh.colours.push(colour);
-                }
+                mesh.vertices.push(row.point);
+                mesh.colours.extend(row.has_colour.then_some(row.colour));
             }
         }
     }

@@ -201,19 +201,7 @@ impl Tracer {
         let mut parts: Vec<Part> = Vec::with_capacity(samples * samples);
         for y in (0..tile.height as usize).step_by(samples) {
             for x in (0..width).step_by(samples) {
-                for row in y..y + samples {
-                    for column in x..x + samples {
-                        let Ok(face) = u32::try_from(pix_to_face[row * width + column]) else { continue };
-                        let place = [column as f32 + 0.5, row as f32 + 0.5];
-                        match parts.iter_mut().find(|p| shading == Shading::Surfaces && p.face == face) {
-                            Some(part) => {
-                                part.samples += 1.0;
-                                (0..2).for_each(|k| part.place[k] += place[k]);
-                            }
-                            None => parts.push(Part { face, samples: 1.0, place }),
-                        }
-                    }
-                }
+                gather(&pix_to_face, width, [x, y], samples, shading, &mut parts);
                 if shading == Shading::Surfaces && parts.len() > 1 {
                     parts.sort_by(|a, b| b.samples.total_cmp(&a.samples));
                 }
@@ -223,17 +211,9 @@ impl Tracer {
                     let triangle = corners.map(|v| view[v as usize]);
                     let middle = part.place.map(|x| f64::from(x / part.samples));
                     let point = SurfacePoint { face: part.face, bary: bary_at(tile, &triangle, middle) };
-                    let mut stands_for = part.samples;
-                    let mut n_left = 0;
-                    for k in 0..rest.len() {
-                        let touches = self.faces[rest[k].face as usize].iter().any(|v| corners.contains(v));
-                        if shading == Shading::Surfaces && touches {
-                            stands_for += rest[k].samples;
-                        } else {
-                            rest[n_left] = rest[k];
-                            n_left += 1;
-                        }
-                    }
+                    let touches = |face: u32| self.faces[face as usize].iter().any(|v| corners.contains(v));
+                    let merges = |other: &Part| shading == Shading::Surfaces && touches(other.face);
+                    let (stands_for, n_left) = merge(part.samples, rest, merges);
                     each(y / samples * width + x / samples, stands_for, point);
                     left = &mut rest[..n_left];
                 }
@@ -242,6 +222,44 @@ impl Tracer {
         }
         Ok(())
     }
+}
+
+/// Adds the faces of the pixel whose first sample is at x and y to `parts`: one for each sample, or for each face where surfaces
+/// are shaded.
+fn gather(
+    pix_to_face: &[i32],
+    width: usize,
+    [x, y]: [usize; 2],
+    samples: usize,
+    shading: Shading,
+    parts: &mut Vec<Part>,
+) {
+    for (row, column) in (y..y + samples).flat_map(|row| (x..x + samples).map(move |column| (row, column))) {
+        let Ok(face) = u32::try_from(pix_to_face[row * width + column]) else { continue };
+        let place = [column as f32 + 0.5, row as f32 + 0.5];
+        match parts.iter_mut().find(|p| shading == Shading::Surfaces && p.face == face) {
+            Some(part) => {
+                part.samples += 1.0;
+                (0..2).for_each(|k| part.place[k] += place[k]);
+            }
+            None => parts.push(Part { face, samples: 1.0, place }),
+        }
+    }
+}
+
+/// Takes the samples of those that merge out of `rest`; the samples with theirs, and how many stay, which come first and in
+/// their order.
+fn merge(mut samples: f32, rest: &mut [Part], merges: impl Fn(&Part) -> bool) -> (f32, usize) {
+    let mut n_left = 0;
+    for k in 0..rest.len() {
+        if merges(&rest[k]) {
+            samples += rest[k].samples;
+        } else {
+            rest[n_left] = rest[k];
+            n_left += 1;
+        }
+    }
+    (samples, n_left)
 }
 
 /// World to camera space, then the lens: a distorted camera sees each point where the undistorted one sees the result.
