@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::collections::BTreeMap;
 
 use super::FitError;
-use super::kept::{Keeper, Kept};
+use super::checkpointed::{Checkpointed, Checkpointer};
 use super::scene::Scene;
 use super::state::Stage;
 use crate::gpu::Buffer;
@@ -150,13 +150,13 @@ impl Losses {
     }
 }
 
-impl Kept for Losses {
+impl Checkpointed for Losses {
     /// What frames are sampled by. What has been reported of a pass is not known after a resumption.
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        keeper.buffer(&format!("{name}.values"), &self.values)?;
-        keeper.counts(&format!("{name}.visits"), &mut self.visits)?;
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        checkpointer.buffer(&format!("{name}.values"), &self.values)?;
+        checkpointer.counts(&format!("{name}.visits"), &mut self.visits)?;
         let mut errors: Vec<f32> = self.errors.iter().map(|error| error.unwrap_or(UNKNOWN)).collect();
-        keeper.numbers(&format!("{name}.errors"), &mut errors)?;
+        checkpointer.numbers(&format!("{name}.errors"), &mut errors)?;
         self.errors = errors.into_iter().map(|error| (error != UNKNOWN).then_some(error)).collect();
         Ok(())
     }

@@ -2,6 +2,8 @@
 //! masks, stage 1 on the device fits geometry with one colour a face, stage 2 the hash texture and, where the
 //! configuration has it so, the geometry through it.
 
+mod appearance;
+mod checkpointed;
 pub mod config;
 mod control;
 pub mod covered;
@@ -9,9 +11,7 @@ pub mod detail;
 mod frame_step;
 mod frames;
 mod groups;
-mod kept;
 mod keypoint_term;
-mod look;
 mod losses;
 mod mesh_losses;
 mod motion;
@@ -41,7 +41,7 @@ use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::gpu::{Gpu, GpuError};
 use crate::npz::NpzError;
-use look::{Lit, solve_face_colours};
+use appearance::{Lit, solve_face_colours};
 use poses::PoseGroups;
 use scene::Scene;
 use schedule::{Outside, Step, Work};

@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use super::FitError;
+use super::checkpointed::{Checkpointed, Checkpointer};
 use super::config::{FitConfig, Rates};
 use super::groups::{Group, SmoothCoordinates};
-use super::kept::{Keeper, Kept};
 use super::motion::{PLACE_JUMP, POSE_JUMP};
 use super::schedule::Step;
 use super::state::FitState;
@@ -81,14 +81,14 @@ impl PoseGroups {
     }
 }
 
-impl Kept for PoseGroups {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
+impl Checkpointed for PoseGroups {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
         let parts = [("poses", &mut self.poses), ("transl", &mut self.transl)];
         for (part, group) in parts {
-            group.keep(keeper, &format!("{name}.{part}"))?;
+            group.checkpoint(checkpointer, &format!("{name}.{part}"))?;
         }
         for (part, smooth) in ["poses", "transl"].iter().zip(self.smooth.iter_mut().flatten()) {
-            smooth.keep(keeper, &format!("{name}.{part}.smooth"))?;
+            smooth.checkpoint(checkpointer, &format!("{name}.{part}.smooth"))?;
         }
         Ok(())
     }
@@ -141,11 +141,11 @@ impl SmoothInTime {
     }
 }
 
-impl Kept for SmoothInTime {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        self.smooth.keep(keeper, name)?;
-        keeper.counts(&format!("{name}.steps"), std::slice::from_mut(&mut self.steps))?;
-        self.adam.keep(keeper, name)
+impl Checkpointed for SmoothInTime {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        self.smooth.checkpoint(checkpointer, name)?;
+        checkpointer.counts(&format!("{name}.steps"), std::slice::from_mut(&mut self.steps))?;
+        self.adam.checkpoint(checkpointer, name)
     }
 }
 

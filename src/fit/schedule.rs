@@ -9,9 +9,9 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg32;
 
 use super::FitError;
+use super::checkpointed::{Arrays, Checkpointed, Checkpointer};
 use super::config::{FitConfig, FrameSampling, Phase, StageConfig};
 use super::control::{Control, Flow, Pace, StepReport};
-use super::kept::{Arrays, Keeper, Kept};
 use super::losses::Losses;
 use super::scene::Scene;
 use super::state::{Begun, FitState, Progress, Stage};
@@ -31,7 +31,7 @@ pub(super) struct Step<'a> {
 }
 
 /// What a stage does; [`run`] says when.
-pub(super) trait Work: Kept {
+pub(super) trait Work: Checkpointed {
     /// Called before the first step of a phase, with the parameters as they are then; also before the first step after a
     /// resumption, with the parameters as they were when the phase began.
     fn start_phase(&mut self, phase: &Phase) -> Result<(), FitError>;
@@ -80,7 +80,7 @@ pub(super) fn run(
         let since = Instant::now();
         let begun = if let Some(Progress { begun, kept }) = progress.take() {
             work.start_phase(phase)?;
-            work.keep(&mut Keeper::Restore(&scene.gpu, &kept), NAME)?;
+            work.checkpoint(&mut Checkpointer::Restore(&scene.gpu, &kept), NAME)?;
             begun
         } else {
             work.read_into(state)?;
@@ -221,7 +221,7 @@ fn checkpoint(
 ) -> Result<(), FitError> {
     work.read_into(state)?;
     let mut kept = Arrays::new();
-    work.keep(&mut Keeper::Save(&scene.gpu, &mut kept), NAME)?;
+    work.checkpoint(&mut Checkpointer::Save(&scene.gpu, &mut kept), NAME)?;
     state.progress = Some(Progress { begun: begun.clone(), kept });
     let saved = state.save(path);
     state.progress = None;

@@ -2,9 +2,9 @@
 
 use super::FitError;
 use super::Inputs;
+use super::checkpointed::{Checkpointed, Checkpointer};
 use super::config::{Phase, Preconditioner, Rates, Weights};
 use super::groups::{Group, SmoothCoordinates, VertexGroup};
-use super::kept::{Keeper, Kept};
 use super::losses::Losses;
 use super::mesh_losses::MeshLosses;
 use super::scene::Scene;
@@ -98,10 +98,10 @@ impl Shape {
     }
 }
 
-impl Kept for Shape {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        self.betas.keep(keeper, &format!("{name}.betas"))?;
-        self.offsets.keep(keeper, &format!("{name}.offsets"))?;
-        self.smooth.as_mut().map_or(Ok(()), |smooth| smooth.keep(keeper, &format!("{name}.offsets.smooth")))
+impl Checkpointed for Shape {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        self.betas.checkpoint(checkpointer, &format!("{name}.betas"))?;
+        self.offsets.checkpoint(checkpointer, &format!("{name}.offsets"))?;
+        self.smooth.as_mut().map_or(Ok(()), |smooth| smooth.checkpoint(checkpointer, &format!("{name}.offsets.smooth")))
     }
 }

@@ -3,11 +3,11 @@
 //! or, as the paper has it, shape and face colours stand and the poses see the soft image too. A fit without a first stage is
 //! the paper's naive way.
 
+use super::appearance::{Appearance, FaceColours, Texture};
+use super::checkpointed::{Checkpointed, Checkpointer};
 use super::config::{FitConfig, Phase, StageConfig};
 use super::frame_step::{BACKGROUND, FrameStep};
-use super::kept::{Keeper, Kept};
 use super::keypoint_term::KeypointTerm;
-use super::look::{FaceColours, Look, Texture};
 use super::losses::{Losses, Term};
 use super::motion::Motion;
 use super::poses::PoseGroups;
@@ -28,7 +28,7 @@ pub(super) struct StageWork<'a> {
     stage: &'a StageConfig,
     poses: PoseGroups,
     shape: Option<Shape>,
-    look: Box<dyn Look>,
+    appearance: Box<dyn Appearance>,
     soft: Option<(SoftTerm, RgbL1)>,
     silhouette: SilhouetteTerm,
     keypoints: Option<KeypointTerm>,
@@ -40,7 +40,7 @@ impl<'a> StageWork<'a> {
     /// The work of `state.stage`.
     pub fn new(scene: &'a Scene, inputs: &Inputs<'a>, state: &FitState) -> Result<Self, FitError> {
         let (gpu, config) = (&scene.gpu, inputs.config);
-        let (stage, look): (_, Box<dyn Look>) = match state.stage {
+        let (stage, appearance): (_, Box<dyn Appearance>) = match state.stage {
             Stage::Geometry => (&config.geometry, Box::new(FaceColours::new(scene, inputs, state))),
             _ => (&config.texture, Box::new(Texture::new(scene, inputs, state)?)),
         };
@@ -57,7 +57,7 @@ impl<'a> StageWork<'a> {
             stage,
             poses: PoseGroups::new(gpu, config, state),
             shape,
-            look,
+            appearance,
             soft: (weights.rgb_soft != 0.0).then(|| (SoftTerm::new(scene), RgbL1::new(gpu, scene.max_pixels))),
             silhouette: SilhouetteTerm::new(scene, config.silhouette_gradient),
             keypoints: if weights.keypoints != 0.0 { keypoints() } else { None },
@@ -68,7 +68,7 @@ impl<'a> StageWork<'a> {
 
     /// For steps without a phase's start, which would solve the light anew.
     pub fn cast_shadows(&mut self) -> Result<(), FitError> {
-        self.look.cast_shadows(self.scene, &self.poses)
+        self.appearance.cast_shadows(self.scene, &self.poses)
     }
 
     /// One frame's images, losses and gradients.
@@ -78,18 +78,18 @@ impl<'a> StageWork<'a> {
         let coloured = weights.rgb != 0.0;
         scene.clear_frame_gradients(recorder);
         scene.forward(recorder, frame.level, self.poses.at(frame.frame));
-        self.look.start_frame(recorder, scene, frame.frame);
+        self.appearance.start_frame(recorder, scene, frame.frame);
         if coloured {
-            self.look.hard(recorder, scene, frame, moves, &self.losses);
+            self.appearance.hard(recorder, scene, frame, moves, &self.losses);
         }
         if !moves {
-            self.look.end_frame(recorder);
+            self.appearance.end_frame(recorder);
             return;
         }
-        let borders = if coloured { self.look.borders(frame) } else { None };
+        let borders = if coloured { self.appearance.borders(frame) } else { None };
         self.silhouette.record(recorder, scene, frame, borders, &self.losses);
         self.record_soft(recorder, frame);
-        self.look.end_frame(recorder);
+        self.appearance.end_frame(recorder);
         if let Some(keypoints) = &self.keypoints {
             let weight = frame.part * weights.keypoints;
             keypoints.record(recorder, scene, frame.frame, weight, self.losses.slot(Term::Keypoints));
@@ -104,7 +104,7 @@ impl<'a> StageWork<'a> {
         let (scene, camera, n) = (self.scene, &frame.level.camera, frame.level.camera.n_pixels());
         let (target, inside) = (frame.target(), Pixels::Listed(&frame.level.inside));
         let params = soft_params(scene, frame.phase, frame.frame, BACKGROUND);
-        let (colours, grad_colours) = self.look.face_colours();
+        let (colours, grad_colours) = self.appearance.face_colours();
         soft.forward(recorder, &params, camera, scene, colours);
         let (slot, weight) = (self.losses.slot(Term::RgbSoft), frame.per_pixel(frame.weights.rgb_soft));
         rgb.forward_backward(recorder, n, soft.rgb(), target, inside, slot, weight, &soft.grad_rgb);
@@ -117,14 +117,14 @@ impl<'a> StageWork<'a> {
     }
 }
 
-impl Kept for StageWork<'_> {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        self.poses.keep(keeper, name)?;
+impl Checkpointed for StageWork<'_> {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        self.poses.checkpoint(checkpointer, name)?;
         if let Some(shape) = &mut self.shape {
-            shape.keep(keeper, name)?;
+            shape.checkpoint(checkpointer, name)?;
         }
-        self.look.keep(keeper, &format!("{name}.look"))?;
-        self.losses.keep(keeper, &format!("{name}.losses"))
+        self.appearance.checkpoint(checkpointer, &format!("{name}.appearance"))?;
+        self.losses.checkpoint(checkpointer, &format!("{name}.losses"))
     }
 }
 
@@ -136,7 +136,7 @@ impl Work for StageWork<'_> {
             shape.forward(&mut recorder, self.scene);
             recorder.submit()?;
         }
-        self.look.start_phase(self.scene, &self.poses, phase)
+        self.appearance.start_phase(self.scene, &self.poses, phase)
     }
 
     fn step(&mut self, step: &Step<'_>) -> Result<(), FitError> {
@@ -148,7 +148,7 @@ impl Work for StageWork<'_> {
         if let Some(shape) = &self.shape {
             shape.forward(&mut recorder, scene);
         }
-        self.look.start_step(&mut recorder, scene);
+        self.appearance.start_step(&mut recorder, scene);
         for &frame in step.frames {
             let level = &scene.frames[frame].levels[step.phase.level];
             let part = part * step.trust[frame];
@@ -164,7 +164,7 @@ impl Work for StageWork<'_> {
             self.motion.record(&mut recorder, weights, self.poses.share_of_a_step(step.frames.len()), &self.poses);
             self.poses.step(&mut recorder, rates, step);
         }
-        self.look.step(&mut recorder, rates, step);
+        self.appearance.step(&mut recorder, rates, step);
         Ok(recorder.submit()?)
     }
 
@@ -177,6 +177,6 @@ impl Work for StageWork<'_> {
         if let Some(shape) = &self.shape {
             shape.read_into(self.scene, state)?;
         }
-        self.look.read_into(self.scene, state)
+        self.appearance.read_into(self.scene, state)
     }
 }

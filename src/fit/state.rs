@@ -3,7 +3,7 @@
 use std::io::{Seek, Write};
 use std::path::Path;
 
-use super::kept::Arrays;
+use super::checkpointed::Arrays;
 use crate::atomic_file;
 use crate::body::{Body, N_POSE};
 use crate::npz::{Npz, NpzError, NpzWriter};

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::pipeline::{self, Observer, Outcome, PipelineError, PipelineInput};
-use super::renders::Draughtsman;
+use super::renders::CachedRenderers;
 use crate::gpu::{DeviceInfo, DeviceSelect, Gpu, GpuError};
 use crate::jobs::render::{RenderError, RenderRequest};
 
@@ -38,7 +38,7 @@ pub trait Engine: Send + 'static {
 #[derive(Default)]
 pub struct DeviceEngine {
     gpu: Option<Arc<Gpu>>,
-    draughtsman: Draughtsman,
+    renderers: CachedRenderers,
     /// Whether this process had a graphics processor.
     had_hardware: bool,
 }
@@ -49,7 +49,7 @@ impl DeviceEngine {
             return Ok(gpu.clone());
         }
         // What it holds the next one may need.
-        self.draughtsman.forget();
+        self.renderers.forget();
         self.gpu = None;
         let gpu = Gpu::open(&DeviceSelect::Auto)?;
         suits(gpu.info(), self.had_hardware)?;
@@ -76,7 +76,7 @@ impl Engine for DeviceEngine {
     fn fit(&mut self, task: &FitTask, observer: &mut dyn Observer) -> Result<Outcome, PipelineError> {
         let gpu = self.gpu()?;
         // The models in the cache take memory that the fit may need.
-        self.draughtsman.forget();
+        self.renderers.forget();
         let run = || pipeline::run(&gpu, &task.input, &task.data_dir, &task.work_dir, &task.out_dir, observer);
         // A device that fails shows as an error or a panic wherever its absence is met first: its own word counts.
         match (catch_unwind(AssertUnwindSafe(run)), gpu.check()) {
@@ -88,7 +88,7 @@ impl Engine for DeviceEngine {
 
     fn draw(&mut self, request: &RenderRequest, to: &Path) -> Result<(), RenderError> {
         let gpu = self.gpu().map_err(|error| RenderError::Unavailable(error.to_string()))?;
-        self.draughtsman.draw(&gpu, request, to)
+        self.renderers.draw(&gpu, request, to)
     }
 }
 

@@ -10,7 +10,7 @@ use tracing::Span;
 use super::control::Control;
 use super::device_thread::{Task, answer_with};
 use super::pipeline::{Observer, PipelineError, Preview, Progress, StopReason};
-use super::renders::Draughtsman;
+use super::renders::CachedRenderers;
 use crate::gpu::Gpu;
 use crate::jobs::render::{RenderError, RenderRequest};
 
@@ -18,7 +18,7 @@ use crate::jobs::render::{RenderError, RenderRequest};
 pub(super) struct FitObserver<'a> {
     control: Arc<Control>,
     inbox: &'a Receiver<Task>,
-    draughtsman: Draughtsman,
+    renderers: CachedRenderers,
     stage: Option<(&'static str, Instant, Span)>,
     turns: Turns,
 }
@@ -26,7 +26,7 @@ pub(super) struct FitObserver<'a> {
 impl<'a> FitObserver<'a> {
     pub fn new(control: Arc<Control>, inbox: &'a Receiver<Task>) -> Self {
         let turns = Turns::from(Instant::now());
-        Self { control, inbox, draughtsman: Draughtsman::default(), stage: None, turns }
+        Self { control, inbox, renderers: CachedRenderers::default(), stage: None, turns }
     }
 
     /// Counts the time of the stage that ran.
@@ -72,7 +72,7 @@ impl Observer for FitObserver<'_> {
     fn idle(&mut self, gpu: &Arc<Gpu>) {
         let began = Instant::now();
         let Some(share) = self.turns.share(began) else { return };
-        draw_waiting(self.inbox, &self.control, share, |request, to| self.draughtsman.draw(gpu, request, to));
+        draw_waiting(self.inbox, &self.control, share, |request, to| self.renderers.draw(gpu, request, to));
         self.turns.end(began, Instant::now());
     }
 }

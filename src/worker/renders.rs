@@ -17,12 +17,12 @@ const SAMPLES: u32 = 3;
 
 /// Draws on a device, and keeps the last avatars there.
 #[derive(Default)]
-pub(super) struct Draughtsman {
+pub(super) struct CachedRenderers {
     /// The last used at the end.
-    kept: Vec<Kept>,
+    kept: Vec<Loaded>,
 }
 
-struct Kept {
+struct Loaded {
     path: PathBuf,
     /// A retry may publish another model under the same path.
     written: SystemTime,
@@ -31,7 +31,7 @@ struct Kept {
     colours: Option<Vec<[u8; 3]>>,
 }
 
-impl Draughtsman {
+impl CachedRenderers {
     /// Frees what is on the device.
     pub fn forget(&mut self) {
         self.kept.clear();
@@ -53,7 +53,7 @@ impl Draughtsman {
         }
     }
 
-    fn model(&mut self, gpu: &Arc<Gpu>, path: &Path) -> Result<&mut Kept, RenderError> {
+    fn model(&mut self, gpu: &Arc<Gpu>, path: &Path) -> Result<&mut Loaded, RenderError> {
         let written = path.metadata().and_then(|meta| meta.modified()).map_err(failed)?;
         let found = self.kept.iter().position(|kept| kept.path == path && kept.written == written);
         let kept = match found {
@@ -61,7 +61,7 @@ impl Draughtsman {
             None => {
                 let model = Arc::new(AvatarModel::load(path).map_err(failed)?);
                 let renderer = Renderer::new(gpu, &model).map_err(failed)?;
-                Kept { path: path.into(), written, renderer, colours: None }
+                Loaded { path: path.into(), written, renderer, colours: None }
             }
         };
         if self.kept.len() >= KEPT {
@@ -73,7 +73,7 @@ impl Draughtsman {
     }
 }
 
-impl Kept {
+impl Loaded {
     fn image(&self, request: &ImageRequest) -> Result<Vec<u8>, RenderError> {
         let spec = self.spec(request)?;
         let picture = self.renderer.render(&spec).map_err(|error| match error {

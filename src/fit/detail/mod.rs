@@ -7,14 +7,14 @@
 //! Small pictures are enlarged first. Between the places that pixels of few frames hit a texture shows whatever it likes, as specks and
 //! lines on a face; an enlarged picture says there what lies between its pixels.
 
-mod closer;
 mod pictures;
+mod plan;
 #[cfg(test)]
 mod testing;
 
-pub use self::closer::Closer;
 pub use self::pictures::square_around;
 use self::pictures::{cut, enlarge, shrink};
+pub use self::plan::DetailPlan;
 use super::config::FitConfig;
 use super::state::{FitState, Stage};
 use crate::body::joints::HEAD;
@@ -43,7 +43,7 @@ pub struct Detail {
 }
 
 impl Detail {
-    /// `fitted` is where a fit of `capture` with `config`, seen by `camera`, has ended; `large` has the frames of `closer`. A frame
+    /// `fitted` is where a fit of `capture` with `config`, seen by `camera`, has ended; `large` has the frames of `plan`. A frame
     /// that is missing there is left out.
     pub fn new(
         body: &Body,
@@ -51,17 +51,17 @@ impl Detail {
         camera: &Camera,
         config: &FitConfig,
         fitted: &FitState,
-        closer: &Closer,
+        plan: &DetailPlan,
         large: Capture,
     ) -> Self {
         // Whatever focal length came with the clip: the fit's own may have taken its place.
-        let size = [large.camera.width, large.camera.height].map(|side| side * closer.enlarged);
+        let size = [large.camera.width, large.camera.height].map(|side| side * plan.enlarged);
         let camera = camera.scaled(size[0], size[1]);
         let mut frames = Vec::new();
         let mut pictures = Vec::new();
         for picture in &large.frames {
-            let Some(&k) = closer.kept.iter().find(|&&k| capture.frames[k].index == picture.index) else { continue };
-            let mut picture = enlarge(picture, closer.enlarged);
+            let Some(&k) = plan.kept.iter().find(|&&k| capture.frames[k].index == picture.index) else { continue };
+            let mut picture = enlarge(picture, plan.enlarged);
             shrink(&mut picture, BLEEDING_PX);
             if let Some(head) = head(body, fitted, k, &camera).and_then(|square| cut(&picture, square)) {
                 frames.push(k);
@@ -145,14 +145,14 @@ mod tests {
         let transl = [[0.0, 0.0, 2.0]; 3];
         let mut fitted = FitState::new(&body, vec![0.0; body.n_betas], &poses, &transl, config.field, 1);
         fitted.run_transl = fitted.transl.clone();
-        let closer = Closer::to(&capture).unwrap();
+        let plan = DetailPlan::to(&capture).unwrap();
         let mut large = testing::capture(3, 240, 240, 200);
         large.frames.remove(1);
         large.frames.iter_mut().for_each(|frame| *frame = testing::picture(frame.index, [0, 0, 240, 240]));
         // The clip came with another focal length than the one that was found.
         large.camera = Camera { fx: 0.7 * large.camera.fx, fy: 0.7 * large.camera.fy, ..large.camera };
         let found = Camera { cx: 61.0, translation: [0.1, 0.0, 0.0], ..capture.camera.clone() };
-        let detail = Detail::new(&body, &capture, &found, &config, &fitted, &closer, large);
+        let detail = Detail::new(&body, &capture, &found, &config, &fitted, &plan, large);
         assert_eq!(detail.camera, found.scaled(480, 480));
         assert_eq!(detail.frames, [0, 0, 2, 2], "the second frame could not be read again");
         let whole: Vec<(usize, u32)> = detail.whole().map(|(k, frame)| (k, frame.width)).collect();

@@ -6,7 +6,7 @@ use image::{GrayImage, RgbImage};
 
 use crate::camera::Camera;
 use crate::capture::Frame;
-use crate::fit::look::well_inside;
+use crate::fit::appearance::well_inside;
 use crate::mask::{self, is_foreground};
 use crate::ops::project::cpu::forward as project;
 

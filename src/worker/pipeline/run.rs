@@ -13,7 +13,7 @@ use super::{Observer, Outcome, PipelineError, PipelineInput, Stage, StopReason, 
 use crate::body::Body;
 use crate::capture::{Capture, CaptureError, CaptureOptions};
 use crate::fit::covered::Covered;
-use crate::fit::detail::{Closer, Detail};
+use crate::fit::detail::{Detail, DetailPlan};
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, FocalCheck, Stage0Error, Stage0Options, Stage0Result};
 use crate::fit::{FitConfig, FitState, Inputs, pelvis};
@@ -52,8 +52,8 @@ pub fn run(
     covered.even_out(&mut body, &start.betas);
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
-    let closer = if config.detail { Closer::to(&capture) } else { None };
-    monitor.expect_texture_steps(closer.as_ref().map_or(0, |closer| closer.steps(&config)));
+    let plan = if config.detail { DetailPlan::to(&capture) } else { None };
+    monitor.expect_texture_steps(plan.as_ref().map_or(0, |plan| plan.steps(&config)));
     let (camera, mut fits) = (&start.camera, Fits::new(gpu, work_dir, &mut monitor));
     let mut state = fits.person(&Inputs { body: &body, capture: &capture, camera, config: &config }, fresh)?;
     let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
@@ -62,12 +62,12 @@ pub fn run(
         let alone = config.clone().texture_alone();
         state = fits.tailored(&Inputs { body: &body, capture: &capture, camera, config: &alone }, state)?;
     }
-    let large = match &closer {
-        Some(closer) => larger_pictures(input, closer, &mut capture, &measures, fits.monitor)?,
+    let large = match &plan {
+        Some(plan) => larger_pictures(input, plan, &mut capture, &measures, fits.monitor)?,
         None => None,
     };
     let detail =
-        closer.zip(large).map(|(closer, large)| Detail::new(&body, &capture, camera, &config, &state, &closer, large));
+        plan.zip(large).map(|(plan, large)| Detail::new(&body, &capture, camera, &config, &state, &plan, large));
     if let Some(detail) = &detail {
         let before = Inputs { body: &body, capture: &capture, camera, config: &config };
         state = fits.detailed(&before, detail, state)?;
@@ -85,16 +85,16 @@ pub fn run(
 /// The pictures that the texture goes on with after the fit, if they can be had.
 fn larger_pictures(
     input: &PipelineInput,
-    closer: &Closer,
+    plan: &DetailPlan,
     capture: &mut Capture,
     measures: &[quality::FrameMeasures],
     monitor: &mut Monitor<'_>,
 ) -> Result<Option<Capture>, PipelineError> {
-    if let Some(own) = closer.own(capture) {
+    if let Some(own) = plan.own(capture) {
         return Ok(Some(own));
     }
     let go_on = &mut |_| monitor.go_on();
-    let large = Capture::load_frames(&input.files, &closer.frames, closer.side_px, go_on);
+    let large = Capture::load_frames(&input.files, &plan.frames, plan.side_px, go_on);
     let mut large = match large {
         Ok(large) => large,
         // The fit is done, and without detail it is still a whole avatar.
@@ -104,8 +104,8 @@ fn larger_pictures(
         }
         Err(error) => return Err(from_capture(error, monitor)),
     };
-    let offsets = closer.of(&quality::edge_offsets(measures)).into_iter();
-    let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * closer.gain)).collect();
+    let offsets = plan.of(&quality::edge_offsets(measures)).into_iter();
+    let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * plan.gain)).collect();
     quality::settle_masks(&mut large, &offsets);
     Ok(Some(large))
 }

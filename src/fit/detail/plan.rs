@@ -17,7 +17,7 @@ const ENLARGED: u32 = 2;
 
 /// Which frames are looked at once more, and how large.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Closer {
+pub struct DetailPlan {
     /// Of the fit's frames.
     pub(super) kept: Vec<usize>,
     /// Their numbers in the video.
@@ -30,7 +30,7 @@ pub struct Closer {
     pub(super) enlarged: u32,
 }
 
-impl Closer {
+impl DetailPlan {
     /// `None` where there is nothing larger and nothing to enlarge.
     pub fn to(capture: &Capture) -> Option<Self> {
         let side = f64::from(capture.camera.width.max(capture.camera.height));
@@ -81,18 +81,18 @@ mod tests {
 
     #[test]
     fn larger_pictures_are_looked_at_in_some_frames_and_up_to_a_size() {
-        assert_eq!(Closer::to(&capture(60, 1080, 1080, 900)), None);
-        assert_eq!(Closer::to(&capture(60, 1080, 1300, 900)), None, "hardly larger");
-        let small = Closer::to(&capture(60, 360, 440, 300)).unwrap();
+        assert_eq!(DetailPlan::to(&capture(60, 1080, 1080, 900)), None);
+        assert_eq!(DetailPlan::to(&capture(60, 1080, 1300, 900)), None, "hardly larger");
+        let small = DetailPlan::to(&capture(60, 360, 440, 300)).unwrap();
         assert_eq!((small.side_px, small.gain, small.enlarged), (360, 1.0, 2));
         let own = small.own(&capture(60, 360, 440, 300)).unwrap();
         assert_eq!(own.frames.iter().map(|frame| frame.index).collect::<Vec<_>>(), small.frames);
-        let closer = Closer::to(&capture(120, 720, 1920, 500)).unwrap();
-        assert_eq!((closer.side_px, closer.frames.len(), closer.enlarged), (1920, FRAMES, 1));
-        assert!(closer.own(&capture(120, 720, 1920, 500)).is_none(), "there are larger ones");
-        assert_eq!(closer.frames[..3], [0, 6, 12], "every third, at two frames of the video each");
-        assert_eq!(closer.of(&(0..120).collect::<Vec<_>>())[..3], [0, 3, 6]);
-        let closer = Closer::to(&capture(8, 720, 3840, 640)).unwrap();
-        assert_eq!((closer.side_px, closer.gain, closer.frames.len()), (1800, 2.5, 8), "the person has 1600 pixels");
+        let plan = DetailPlan::to(&capture(120, 720, 1920, 500)).unwrap();
+        assert_eq!((plan.side_px, plan.frames.len(), plan.enlarged), (1920, FRAMES, 1));
+        assert!(plan.own(&capture(120, 720, 1920, 500)).is_none(), "there are larger ones");
+        assert_eq!(plan.frames[..3], [0, 6, 12], "every third, at two frames of the video each");
+        assert_eq!(plan.of(&(0..120).collect::<Vec<_>>())[..3], [0, 3, 6]);
+        let plan = DetailPlan::to(&capture(8, 720, 3840, 640)).unwrap();
+        assert_eq!((plan.side_px, plan.gain, plan.frames.len()), (1800, 2.5, 8), "the person has 1600 pixels");
     }
 }

@@ -1,10 +1,10 @@
 //! One colour a face (paper §3.6, stage 1): too coarse to hide what the geometry has wrong.
 
-use super::{Lit, Look, cast_shadows, solve_face_colours};
+use super::{Appearance, Lit, cast_shadows, solve_face_colours};
+use crate::fit::checkpointed::{Checkpointed, Checkpointer};
 use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::groups::Group;
-use crate::fit::kept::{Keeper, Kept};
 use crate::fit::losses::Losses;
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
@@ -62,13 +62,13 @@ impl FaceColours {
     }
 }
 
-impl Kept for FaceColours {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        self.colours.keep(keeper, &format!("{name}.face_colours"))
+impl Checkpointed for FaceColours {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        self.colours.checkpoint(checkpointer, &format!("{name}.face_colours"))
     }
 }
 
-impl Look for FaceColours {
+impl Appearance for FaceColours {
     /// Solves the colours anew where that is wished.
     fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError> {
         if self.compared && self.solved {

@@ -6,12 +6,12 @@ use super::facing::facing_pixels;
 use super::mean_colours::{FaceAlbedos, well_inside};
 use super::model::TextureModel;
 use super::unseen::{self, Unseen};
-use super::{Lit, Look, cast_shadows, solve_face_colours};
+use super::{Appearance, Lit, cast_shadows, solve_face_colours};
+use crate::fit::checkpointed::{Checkpointed, Checkpointer};
 use crate::fit::config::{Phase, Rates};
 use crate::fit::frame_step::{BACKGROUND, FrameStep};
 use crate::fit::frames::{DeviceFrame, FrameLevel};
 use crate::fit::groups::Group;
-use crate::fit::kept::{Keeper, Kept};
 use crate::fit::losses::Losses;
 use crate::fit::poses::PoseGroups;
 use crate::fit::scene::Scene;
@@ -192,15 +192,15 @@ impl Texture {
     }
 }
 
-impl Kept for Texture {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        keeper.counts(&format!("{name}.steps"), std::slice::from_mut(&mut self.steps))?;
-        self.texcoords.keep(keeper, &format!("{name}.texcoords"))?;
-        self.model.keep(keeper, name)
+impl Checkpointed for Texture {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        checkpointer.counts(&format!("{name}.steps"), std::slice::from_mut(&mut self.steps))?;
+        self.texcoords.checkpoint(checkpointer, &format!("{name}.texcoords"))?;
+        self.model.checkpoint(checkpointer, name)
     }
 }
 
-impl Look for Texture {
+impl Appearance for Texture {
     /// Solves light, where it does not stand, and face colours anew for the geometry as it is, and finds out what no frame shows.
     fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError> {
         if self.facing {

@@ -1,8 +1,8 @@
 //! The two textures that stage 2 can train: the hash texture (paper §3.2), and the plain texel map it is compared with.
 
 use crate::fit::FitError;
+use crate::fit::checkpointed::{Checkpointed, Checkpointer};
 use crate::fit::config::FitConfig;
-use crate::fit::kept::{Keeper, Kept};
 use crate::fit::state::FitState;
 use crate::gpu::{Buffer, Gpu, Recorder};
 use crate::ops::adam::{Adam, AdamConfig};
@@ -96,15 +96,15 @@ impl TextureModel {
     }
 }
 
-impl Kept for TextureModel {
+impl Checkpointed for TextureModel {
     /// The moments; the parameters are the state's.
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
         match self {
             Self::Hash { table, weights, .. } => {
-                table.keep(keeper, &format!("{name}.table"))?;
-                weights.keep(keeper, &format!("{name}.weights"))
+                table.checkpoint(checkpointer, &format!("{name}.table"))?;
+                weights.checkpoint(checkpointer, &format!("{name}.weights"))
             }
-            Self::Texels { adam, .. } => adam.keep(keeper, &format!("{name}.texels")),
+            Self::Texels { adam, .. } => adam.checkpoint(checkpointer, &format!("{name}.texels")),
         }
     }
 }

@@ -195,8 +195,8 @@ fn not_below_zero(matrix: &[[f64; TERMS]; TERMS], right: &[f64; TERMS], start: [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::look::lamp::DARK;
-    use crate::fit::look::testing::{lamp, sky, turning};
+    use crate::fit::appearance::lamp::DARK;
+    use crate::fit::appearance::testing::{lamp, sky, turning};
 
     #[test]
     fn what_the_camera_cut_off_does_not_darken_the_albedo() {

@@ -154,7 +154,7 @@ fn unusual(elevation_deg: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::look::testing::{lamp, sky, turning};
+    use crate::fit::appearance::testing::{lamp, sky, turning};
 
     fn angle_deg(a: [f32; 3], b: [f32; 3]) -> f32 {
         (0..3).map(|k| a[k] * b[k]).sum::<f32>().clamp(-1.0, 1.0).acos().to_degrees()

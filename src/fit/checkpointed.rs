@@ -13,12 +13,12 @@ use crate::ops::adam::{Adam, UniformAdam};
 pub type Arrays = BTreeMap<String, Vec<f32>>;
 
 /// Goes through all that a stage keeps, and reads it or puts it back: one list for both ways, so that none forgets a part.
-pub enum Keeper<'a> {
+pub enum Checkpointer<'a> {
     Save(&'a Gpu, &'a mut Arrays),
     Restore(&'a Gpu, &'a Arrays),
 }
 
-impl Keeper<'_> {
+impl Checkpointer<'_> {
     /// A buffer's values. Waits.
     ///
     /// # Errors
@@ -33,7 +33,7 @@ impl Keeper<'_> {
         Ok(())
     }
 
-    /// Numbers of the host; errors as [`Keeper::buffer`].
+    /// Numbers of the host; errors as [`Checkpointer::buffer`].
     pub fn numbers(&mut self, name: &str, numbers: &mut [f32]) -> Result<(), FitError> {
         match self {
             Self::Save(_, arrays) => {
@@ -44,7 +44,7 @@ impl Keeper<'_> {
         Ok(())
     }
 
-    /// Counts below 2²⁴, which a float holds; errors as [`Keeper::buffer`].
+    /// Counts below 2²⁴, which a float holds; errors as [`Checkpointer::buffer`].
     pub fn counts(&mut self, name: &str, counts: &mut [u32]) -> Result<(), FitError> {
         let mut numbers: Vec<f32> = counts.iter().map(|&n| n as f32).collect();
         self.numbers(name, &mut numbers)?;
@@ -63,44 +63,44 @@ fn found<'a>(arrays: &'a Arrays, name: &str, len: usize) -> Result<&'a [f32], Fi
 }
 
 /// What is kept under names that begin with `name`.
-pub trait Kept {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError>;
+pub trait Checkpointed {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError>;
 }
 
-impl Kept for Adam {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        keeper.buffer(&format!("{name}.exp_avg"), &self.exp_avg)?;
-        keeper.buffer(&format!("{name}.exp_avg_sq"), &self.exp_avg_sq)
+impl Checkpointed for Adam {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        checkpointer.buffer(&format!("{name}.exp_avg"), &self.exp_avg)?;
+        checkpointer.buffer(&format!("{name}.exp_avg_sq"), &self.exp_avg_sq)
     }
 }
 
-impl Kept for UniformAdam {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        keeper.buffer(&format!("{name}.exp_avg"), &self.exp_avg)?;
-        keeper.buffer(&format!("{name}.exp_avg_sq"), &self.exp_avg_sq)
+impl Checkpointed for UniformAdam {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        checkpointer.buffer(&format!("{name}.exp_avg"), &self.exp_avg)?;
+        checkpointer.buffer(&format!("{name}.exp_avg_sq"), &self.exp_avg_sq)
     }
 }
 
-impl Kept for Group {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        keeper.buffer(&format!("{name}.values"), &self.values)?;
-        keeper.counts(&format!("{name}.steps"), &mut self.steps)?;
-        self.adam.keep(keeper, name)
+impl Checkpointed for Group {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        checkpointer.buffer(&format!("{name}.values"), &self.values)?;
+        checkpointer.counts(&format!("{name}.steps"), &mut self.steps)?;
+        self.adam.checkpoint(checkpointer, name)
     }
 }
 
-impl Kept for VertexGroup {
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        keeper.buffer(&format!("{name}.values"), &self.values)?;
-        keeper.counts(&format!("{name}.steps"), std::slice::from_mut(&mut self.steps))?;
-        self.adam.keep(keeper, name)
+impl Checkpointed for VertexGroup {
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        checkpointer.buffer(&format!("{name}.values"), &self.values)?;
+        checkpointer.counts(&format!("{name}.steps"), std::slice::from_mut(&mut self.steps))?;
+        self.adam.checkpoint(checkpointer, name)
     }
 }
 
-impl<P: Spread> Kept for SmoothCoordinates<P> {
+impl<P: Spread> Checkpointed for SmoothCoordinates<P> {
     /// Where they start is known from the stage's or the phase's start.
-    fn keep(&mut self, keeper: &mut Keeper<'_>, name: &str) -> Result<(), FitError> {
-        keeper.buffer(&format!("{name}.u"), &self.u)
+    fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
+        checkpointer.buffer(&format!("{name}.u"), &self.u)
     }
 }
 
@@ -112,20 +112,20 @@ mod tests {
 
     #[test]
     fn a_group_that_is_put_back_steps_on_as_it_would_have() {
-        let Some(gpu) = gpu("fit::kept::a_group_that_is_put_back_steps_on_as_it_would_have") else { return };
+        let Some(gpu) = gpu("fit::checkpointed::a_group_that_is_put_back_steps_on_as_it_would_have") else { return };
         let new = || Group::per_frame(&gpu, "test", &[0.5; 6], 3, AdamConfig::default());
         let step = |group: &mut Group, frame: usize, gradient: f32| {
             gpu.write(&group.grads, 0, &[gradient; 6]);
-            let mut recorder = gpu.recorder("fit/kept/test");
+            let mut recorder = gpu.recorder("fit/checkpointed/test");
             group.step(&mut recorder, &[frame], 0.1);
             recorder.submit().unwrap();
         };
         let (mut whole, mut arrays) = (new(), Arrays::new());
         step(&mut whole, 0, 1.0);
         step(&mut whole, 0, -0.3);
-        whole.keep(&mut Keeper::Save(&gpu, &mut arrays), "poses").unwrap();
+        whole.checkpoint(&mut Checkpointer::Save(&gpu, &mut arrays), "poses").unwrap();
         let mut again = new();
-        again.keep(&mut Keeper::Restore(&gpu, &arrays), "poses").unwrap();
+        again.checkpoint(&mut Checkpointer::Restore(&gpu, &arrays), "poses").unwrap();
         for group in [&mut whole, &mut again] {
             step(group, 0, 0.7);
             step(group, 1, 0.2);
@@ -133,10 +133,10 @@ mod tests {
         assert_eq!(again.read(&gpu).unwrap(), whole.read(&gpu).unwrap());
 
         arrays.insert("poses.exp_avg".into(), vec![0.0; 5]);
-        let error = again.keep(&mut Keeper::Restore(&gpu, &arrays), "poses").unwrap_err().to_string();
+        let error = again.checkpoint(&mut Checkpointer::Restore(&gpu, &arrays), "poses").unwrap_err().to_string();
         assert!(error.contains("poses.exp_avg") && error.contains("5 values, expected 6"), "{error}");
         arrays.remove("poses.steps");
-        let error = again.keep(&mut Keeper::Restore(&gpu, &arrays), "poses").unwrap_err().to_string();
+        let error = again.checkpoint(&mut Checkpointer::Restore(&gpu, &arrays), "poses").unwrap_err().to_string();
         assert!(error.contains("poses.steps"), "{error}");
     }
 }

@@ -21,9 +21,9 @@ pub use shadows::cast_shadows;
 pub use texture::Texture;
 
 use super::FitError;
+use super::checkpointed::Checkpointed;
 use super::config::{Phase, Rates};
 use super::frame_step::FrameStep;
-use super::kept::Kept;
 use super::losses::Losses;
 use super::poses::PoseGroups;
 use super::scene::Scene;
@@ -33,7 +33,7 @@ use crate::gpu::{Buffer, Recorder};
 use crate::ops::edge_gradient::RgbGradient;
 
 /// Colours of the surface with their parameters, gradients and optimiser.
-pub(super) trait Look: Kept {
+pub(super) trait Appearance: Checkpointed {
     /// Before a phase, with the geometry as it is then.
     fn start_phase(&mut self, scene: &Scene, poses: &PoseGroups, phase: &Phase) -> Result<(), FitError>;
 
