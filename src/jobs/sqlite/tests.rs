@@ -106,6 +106,7 @@ async fn what_is_asked_often_does_not_read_the_history() {
     let folder = tempfile::tempdir().unwrap();
     let queue = SqliteQueue::open(&folder.path().join("effigy.db"), Env::system(), Policy::default()).await.unwrap();
     let (key, before) = (Some(uuid::Uuid::nil()), Some(uuid::Uuid::nil()));
+    let state = Some(State::Succeeded);
     let list = |filter: ListFilter| super::api::list(&filter).sql().as_str().to_string();
     for (statement, step) in [
         (super::reaper::OWNERS.to_string(), "COVERING INDEX jobs_held"),
@@ -115,6 +116,8 @@ async fn what_is_asked_often_does_not_read_the_history() {
         (list(ListFilter { key, ..ListFilter::default() }), "SEARCH j USING INDEX jobs_of_key (key_id=?)"),
         (list(ListFilter { key, before, ..ListFilter::default() }), "INDEX jobs_of_key (key_id=? AND id<?)"),
         (list(ListFilter { before, ..ListFilter::default() }), "SEARCH j USING INDEX sqlite_autoindex_jobs_1 (id<?)"),
+        (list(ListFilter { state, ..ListFilter::default() }), "SEARCH j USING INDEX jobs_state (state=?)"),
+        (list(ListFilter { state, before, ..ListFilter::default() }), "INDEX jobs_state (state=? AND id<?)"),
     ] {
         let plan = plan(&queue, &statement).await;
         assert!(plan.iter().any(|found| found.contains(step)), "{statement}: {plan:#?}");
@@ -122,6 +125,8 @@ async fn what_is_asked_often_does_not_read_the_history() {
         let reads_all =
             |step: &&String| step.starts_with("SCAN") && !step.contains("jobs_held") && *step != "SCAN CONSTANT ROW";
         assert_eq!(plan.iter().find(reads_all), None, "{statement}");
+        let sorts = plan.iter().any(|step| step.contains("TEMP B-TREE FOR ORDER BY"));
+        assert!(!sorts || !statement.contains("ORDER BY j.id DESC"), "{statement}: {plan:#?}");
     }
 }
 
