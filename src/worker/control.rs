@@ -49,7 +49,7 @@ impl Control {
     }
 
     /// The fit, or whoever has its device meanwhile, shows a sign of life.
-    pub fn is_alive(&self) {
+    pub fn mark_alive(&self) {
         *self.alive.lock().unwrap() = Instant::now();
     }
 

@@ -39,7 +39,7 @@ impl<'a> FitObserver<'a> {
 
 impl Observer for FitObserver<'_> {
     fn progress(&mut self, progress: &Progress) {
-        self.control.is_alive();
+        self.control.mark_alive();
         let stage = progress.stage.name();
         if self.stage.as_ref().is_none_or(|(current, ..)| *current != stage) {
             self.end_stage();
@@ -58,12 +58,12 @@ impl Observer for FitObserver<'_> {
     }
 
     fn preview(&mut self, preview: Preview) {
-        self.control.is_alive();
+        self.control.mark_alive();
         self.control.set_preview(preview);
     }
 
     fn stop(&mut self) -> Option<StopReason> {
-        self.control.is_alive();
+        self.control.mark_alive();
         self.control.stop_reason()
     }
 
@@ -121,7 +121,7 @@ fn draw_waiting(
             Task::Draw(drawing) => {
                 answer_with(*drawing, &mut draw);
                 // Many pictures take long, and none of them is the fit's fault.
-                control.is_alive();
+                control.mark_alive();
             }
             // The claim loop gives one job at a time, and asks for the device before.
             Task::Open(done) => {
