@@ -22,6 +22,7 @@ pub mod jobs;
 pub mod keypoints;
 pub mod mask;
 pub mod math;
+pub mod novel;
 pub mod npz;
 pub mod ops;
 pub mod page;

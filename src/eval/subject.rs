@@ -11,6 +11,7 @@ use crate::avatar::Pose;
 use crate::avatar::ply::{self, Mesh, PlyError};
 use crate::camera::Camera;
 use crate::capture;
+use crate::novel::{NovelEntry, NovelFile};
 
 /// Why the folder could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -76,63 +77,23 @@ pub struct Subject {
     camera: Option<PathBuf>,
 }
 
-#[derive(serde::Deserialize)]
-struct NovelFile {
-    #[serde(default)]
-    views: Vec<Entry>,
-    #[serde(default)]
-    poses: Vec<Entry>,
-}
-
-#[derive(serde::Deserialize)]
-struct Entry {
-    image: String,
-    mask: String,
-    #[serde(default)]
-    frame: u32,
-    pose: Option<Vec<f32>>,
-    trans: Option<[f32; 3]>,
-    #[serde(rename = "R")]
-    rotation: [[f64; 3]; 3],
-    #[serde(rename = "t")]
-    translation: [f64; 3],
-    width: u32,
-    height: u32,
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-}
-
-impl Entry {
-    fn novel(self, folder: &Path) -> Result<Novel, String> {
-        let pose = match (self.pose, self.trans) {
-            (Some(pose), Some(trans)) => {
-                let n = pose.len();
-                let pose =
-                    pose.try_into().map_err(|_| format!("{}: a pose of {n} numbers, expected 72", self.image))?;
-                NovelPose::Pose(Box::new(pose), trans)
-            }
-            _ => NovelPose::Frame(self.frame),
-        };
-        Ok(Novel {
-            name: Path::new(&self.image).file_stem().unwrap_or_default().to_string_lossy().into_owned(),
-            image: folder.join(&self.image),
-            mask: folder.join(&self.mask),
-            camera: Camera {
-                width: self.width,
-                height: self.height,
-                fx: self.fx,
-                fy: self.fy,
-                cx: self.cx,
-                cy: self.cy,
-                distortion: [0.0; 5],
-                rotation: std::array::from_fn(|i| self.rotation[i / 3][i % 3]),
-                translation: self.translation,
-            },
-            pose,
-        })
-    }
+fn novel(entry: NovelEntry, folder: &Path) -> Result<Novel, String> {
+    let camera = entry.camera();
+    let pose = match (entry.pose, entry.trans) {
+        (Some(pose), Some(trans)) => {
+            let n = pose.len();
+            let pose = pose.try_into().map_err(|_| format!("{}: a pose of {n} numbers, expected 72", entry.image))?;
+            NovelPose::Pose(Box::new(pose), trans)
+        }
+        _ => NovelPose::Frame(entry.frame.unwrap_or(0)),
+    };
+    Ok(Novel {
+        name: Path::new(&entry.image).file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        image: folder.join(&entry.image),
+        mask: folder.join(&entry.mask),
+        camera,
+        pose,
+    })
 }
 
 #[derive(serde::Deserialize)]
@@ -156,8 +117,8 @@ impl Subject {
         let mut subject = Self::default();
         let list = folder.join("novel/novel.json");
         if let Some(file) = json::<NovelFile>(&list)? {
-            let novels = |entries: Vec<Entry>| {
-                let novels = entries.into_iter().map(|e| e.novel(&folder.join("novel")));
+            let novels = |entries: Vec<NovelEntry>| {
+                let novels = entries.into_iter().map(|e| novel(e, &folder.join("novel")));
                 novels.collect::<Result<Vec<_>, _>>().map_err(|e| file_error(&list)(&e))
             };
             subject.views = novels(file.views)?;

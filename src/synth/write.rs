@@ -13,58 +13,8 @@ use crate::avatar::{Pose, Quality, VideoWriter};
 use crate::body::{Body, JOINT_NAMES};
 use crate::camera::Camera;
 use crate::mask;
+use crate::novel::{NovelEntry, NovelFile};
 use crate::npz::NpzWriter;
-
-/// An entry of `novel/novel.json`.
-#[derive(serde::Serialize)]
-pub(super) struct NovelEntry {
-    image: String,
-    mask: String,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    name: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    frame: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pose: Option<Vec<f32>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    trans: Option<[f32; 3]>,
-    #[serde(rename = "R")]
-    rotation: [[f64; 3]; 3],
-    #[serde(rename = "t")]
-    translation: [f64; 3],
-    width: u32,
-    height: u32,
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-}
-
-impl NovelEntry {
-    fn of_camera(camera: &Camera) -> Self {
-        Self {
-            image: String::new(),
-            mask: String::new(),
-            name: None,
-            frame: None,
-            pose: None,
-            trans: None,
-            rotation: std::array::from_fn(|i| std::array::from_fn(|j| camera.rotation[3 * i + j])),
-            translation: camera.translation,
-            width: camera.width,
-            height: camera.height,
-            fx: camera.fx,
-            fy: camera.fy,
-            cx: camera.cx,
-            cy: camera.cy,
-        }
-    }
-
-    pub fn of_pose(name: &str, pose: &Pose, pelvis: [f32; 3], camera: &Camera) -> Self {
-        let (name, pose) = (Some(name.to_owned()), Some(pose.to_vec()));
-        Self { name, pose, trans: Some(pelvis), ..Self::of_camera(camera) }
-    }
-}
 
 /// Writes a folder piece by piece.
 pub(super) struct FolderWriter {
@@ -74,8 +24,7 @@ pub(super) struct FolderWriter {
     keypoints: Vec<Vec<[f64; 3]>>,
     poses: Vec<Pose>,
     joints: Vec<Vec<[f32; 3]>>,
-    views: Vec<NovelEntry>,
-    novel_poses: Vec<NovelEntry>,
+    novel: NovelFile,
 }
 
 impl FolderWriter {
@@ -90,8 +39,7 @@ impl FolderWriter {
             keypoints: Vec::new(),
             poses: Vec::new(),
             joints: Vec::new(),
-            views: Vec::new(),
-            novel_poses: Vec::new(),
+            novel: NovelFile::default(),
         })
     }
 
@@ -151,15 +99,15 @@ impl FolderWriter {
         image: &RgbImage,
         coverage: &GrayImage,
     ) -> Result<(), SynthError> {
-        let entry = NovelEntry { frame: Some(0), ..NovelEntry::of_camera(camera) };
+        let entry = NovelEntry::of_frame(0, camera);
         let entry = self.pictures(&format!("view_{k:02}"), entry, image, coverage)?;
-        self.views.push(entry);
+        self.novel.views.push(entry);
         Ok(())
     }
 
     pub fn novel_pose(&mut self, entry: NovelEntry, image: &RgbImage, coverage: &GrayImage) -> Result<(), SynthError> {
-        let entry = self.pictures(&format!("pose_{:02}", self.novel_poses.len()), entry, image, coverage)?;
-        self.novel_poses.push(entry);
+        let entry = self.pictures(&format!("pose_{:02}", self.novel.poses.len()), entry, image, coverage)?;
+        self.novel.poses.push(entry);
         Ok(())
     }
 
@@ -194,13 +142,13 @@ impl FolderWriter {
             }),
         )?;
         self.json("truth/joints3d.json", &json!({ "names": JOINT_NAMES, "frames": self.joints }))?;
-        self.json("novel/novel.json", &json!({ "views": self.views, "poses": self.novel_poses }))?;
+        self.json("novel/novel.json", &json!(self.novel))?;
         self.json("subject.json", &json!({ "made_by": "effigy synth", "body": body.name, "options": options }))?;
         let pelvis = |joints: &Vec<[f32; 3]>| joints[0];
         let trans: Vec<[f32; 3]> = self.joints.iter().map(pelvis).collect();
         self.poses("truth/poses.npz", &self.poses, &trans, Some((body, betas)))?;
         let novel: (Vec<Pose>, Vec<[f32; 3]>) =
-            self.novel_poses.iter().filter_map(|e| Some((Pose::try_from(e.pose.as_deref()?).ok()?, e.trans?))).unzip();
+            self.novel.poses.iter().filter_map(|e| Some((Pose::try_from(e.pose.as_deref()?).ok()?, e.trans?))).unzip();
         self.poses("novel/poses.npz", &novel.0, &novel.1, None)?;
         self.masks.finish()?;
         Ok(self.video.finish()?)
