@@ -346,9 +346,11 @@ impl Control for Patient {
         if let Some(losses) = report.losses {
             let stage = if report.stage == fit::Stage::Geometry { "geometry" } else { "texture" };
             self.losses.insert(stage, losses.clone());
-            let (sum, steps) = self.rgb.entry(stage).or_default();
-            *sum += f64::from(losses["rgb"]) * f64::from(report.step - *steps);
-            *steps = report.step;
+            if let Some(&rgb) = losses.get("rgb") {
+                let (sum, steps) = self.rgb.entry(stage).or_default();
+                *sum += f64::from(rgb) * f64::from(report.step - *steps);
+                *steps = report.step;
+            }
         }
         if report.step <= 12 {
             std::thread::sleep(self.dawdles);
