@@ -44,6 +44,11 @@ impl Camera {
         [0, 1, 2].map(|k| row(k) + self.translation[k])
     }
 
+    /// Where it stands in the world, metres.
+    pub fn centre(&self) -> [f64; 3] {
+        [0, 1, 2].map(|k| -(0..3).map(|row| self.rotation[3 * row + k] * self.translation[row]).sum::<f64>())
+    }
+
     /// The pixel of a place in camera space, without the lens. What lies behind the camera is for the caller to leave out.
     pub fn project(&self, [x, y, z]: [f64; 3]) -> [f64; 2] {
         [self.fx * x / z + self.cx, self.fy * y / z + self.cy]
@@ -115,6 +120,7 @@ mod tests {
         assert_eq!(seen, [-0.5, 2.0, 4.0]);
         assert_eq!(camera.project(seen), [32.0 - 5.0, 24.0 + 25.0]);
         assert_eq!(camera.ray([27.0, 49.0]), seen.map(|x| x / 4.0));
+        assert_eq!(camera.view(camera.centre()), [0.0; 3]);
     }
 
     #[test]

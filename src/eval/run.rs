@@ -93,8 +93,10 @@ pub fn evaluate(
     report.novel_views = compare(Set::Plain, &subject.views)?;
     report.novel_poses = compare(Set::Plain, &subject.poses)?;
     let scale = report.scale();
-    let scaled =
-        |novels: &[Novel]| -> Vec<Novel> { novels.iter().map(|n| in_our_units(n, scale.unwrap_or(1.0))).collect() };
+    let centre = centre(renderer.model());
+    let scaled = |novels: &[Novel]| -> Vec<Novel> {
+        novels.iter().map(|n| in_our_units(n, centre, scale.unwrap_or(1.0))).collect()
+    };
     if scale.is_some() {
         report.scaled_novel_views = compare(Set::Scaled, &scaled(&subject.views))?;
         report.scaled_novel_poses = compare(Set::Scaled, &scaled(&subject.poses))?;
@@ -123,12 +125,21 @@ pub fn evaluate(
     Ok(report)
 }
 
-/// The same picture of a world in which everything is `1 / scale` as large: `scale` is truth over ours.
-fn in_our_units(novel: &Novel, scale: f64) -> Novel {
+/// Where the clip's camera stands in its world.
+fn centre(model: &AvatarModel) -> DVec3 {
+    DVec3::from(model.camera.centre())
+}
+
+/// The same picture of a world in which all is `1 / scale` as large and as far from the clip's camera at `centre`: `scale` is truth
+/// over ours. With x_ours = c + (x − c) / scale, R x + t = scale (R x_ours + (R c (1 − scale) + t) / scale).
+fn in_our_units(novel: &Novel, centre: DVec3, scale: f64) -> Novel {
     let mut novel = novel.clone();
-    novel.camera.translation = novel.camera.translation.map(|t| t / scale);
+    let seen = DVec3::from(novel.camera.view(centre.to_array()));
+    let turned = seen - DVec3::from(novel.camera.translation);
+    novel.camera.translation = (seen / scale - turned).to_array();
     if let NovelPose::Pose(_, pelvis) = &mut novel.pose {
-        *pelvis = pelvis.map(|x| (x as f64 / scale) as f32);
+        let place = DVec3::from(pelvis.map(f64::from));
+        *pelvis = (centre + (place - centre) / scale).as_vec3().to_array();
     }
     novel
 }
@@ -189,7 +200,7 @@ fn geometry(model: &AvatarModel, subject: &Subject, i: usize) -> Result<Option<G
         aligned: distances(&ours, &truth, &alignment),
         unaligned: distances(&ours, &truth, &Similarity::IDENTITY),
         scale: alignment.scale,
-        camera_scale: scale_about(DVec3::ZERO, &ours, &truth),
+        camera_scale: scale_about(centre(model), &ours, &truth),
         alignment,
     }))
 }
@@ -210,4 +221,41 @@ fn joints(model: &AvatarModel, truth: &[Vec<[f64; 3]>]) -> Option<JointScore> {
     }
     let cm = |sum: f64| 100.0 * sum / n as f64;
     (n > 0).then(|| JointScore { mean_cm: cm(sum), root_aligned_cm: cm(root_sum) })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use glam::DVec2;
+
+    use super::*;
+    use crate::camera::Camera;
+
+    #[test]
+    fn in_our_units_a_picture_shows_the_same_wherever_the_clips_camera_stands() {
+        let rotation = DMat3::from_rotation_y(0.7) * DMat3::from_rotation_x(-0.2);
+        let camera = Camera {
+            rotation: rotation.transpose().to_cols_array(),
+            translation: [0.3, -0.1, 2.0],
+            ..Camera::pinhole(64, 64, [80.0, 80.0, 32.0, 32.0])
+        };
+        let (centre, scale, pelvis) = (DVec3::new(0.4, 1.2, -0.8), 1.25, [0.1f32, 0.9, 1.5]);
+        let novel = Novel {
+            name: "pose".to_owned(),
+            camera: camera.clone(),
+            pose: NovelPose::Pose(Box::new([0.0; 72]), pelvis),
+            image: PathBuf::new(),
+            mask: PathBuf::new(),
+        };
+        let ours = in_our_units(&novel, centre, scale);
+        let NovelPose::Pose(_, place) = ours.pose else { panic!("it stays a pose") };
+        let pixel = |camera: &Camera, place: [f64; 3]| DVec2::from(camera.project(camera.view(place)));
+        for offset in [DVec3::ZERO, DVec3::new(0.2, -0.5, 0.1)] {
+            let theirs = (DVec3::from(pelvis.map(f64::from)) + offset).to_array();
+            let scaled = (DVec3::from(place.map(f64::from)) + offset / scale).to_array();
+            let off = pixel(&camera, theirs).distance(pixel(&ours.camera, scaled));
+            assert!(off < 1e-4, "{off} px");
+        }
+    }
 }

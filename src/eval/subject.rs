@@ -70,7 +70,7 @@ pub struct Subject {
     pub poses: Vec<Novel>,
     /// Frame of the video and its surface
     pub surfaces: Vec<(u32, PathBuf)>,
-    /// `[T][24]`, training camera, metres
+    /// `[T][24]`, the clip's world, metres
     pub joints: Vec<Vec<[f64; 3]>>,
     /// The clip's masks and its camera
     masks: Option<PathBuf>,

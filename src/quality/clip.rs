@@ -23,7 +23,6 @@ const CUT_PX: usize = 3;
 const BLOB: f64 = 0.01;
 /// Of the area, at least; and in multiples of the clip's own unrest.
 const JUMP: f64 = 0.035;
-const JUMP_OF_UNREST: f64 = 8.0;
 /// With fewer frames a turn, arms that pass the outline change the area as much from frame to frame.
 const FRAMES_FOR_JUMPS: usize = 48;
 /// Of the clip's median.
@@ -186,9 +185,8 @@ fn mask_flickers(measures: &[FrameMeasures]) -> Option<Flag> {
         return None;
     }
     let jumps = jumps(&measures.iter().map(|m| (f64::from(m.frame), m.mask_area_px as f64)).collect::<Vec<_>>());
-    let limit = (JUMP_OF_UNREST * median(jumps.iter().copied())?).max(JUMP);
     let jump = |m: &FrameMeasures| measures.iter().position(|n| n.frame == m.frame).map_or(0.0, |t| jumps[t]);
-    of_frames(measures, Kind::MaskFlickers, "the mask's area jumps", limit, jump, |a, b| a > b)
+    of_frames(measures, Kind::MaskFlickers, "the mask's area jumps", JUMP, jump, |a, b| a > b)
 }
 
 /// How far each value `(frame, value)` lies from what the two on either side let expect (a cubic), as a part of it; 0 for the
@@ -323,6 +321,11 @@ mod tests {
         let found = flags(&spoiled);
         assert_eq!(found.iter().map(|f| f.code).collect::<Vec<_>>(), ["second_blob", "mask_flickers"]);
         assert_eq!(found[1].frames, [22]);
+        // One that comes and goes all the time is no less of a jump.
+        let mut spoiled = capture(60);
+        (1..60).step_by(5).for_each(|frame| blob(&mut spoiled, frame));
+        let found = flags(&spoiled);
+        assert_eq!((found[1].code, found[1].frames.len()), ("mask_flickers", 12));
     }
 
     #[test]

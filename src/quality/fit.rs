@@ -59,14 +59,18 @@ pub struct FitFindings<'a> {
 
 /// The flags that a fit raises.
 pub fn fit_flags(found: &FitFindings<'_>) -> Vec<Flag> {
-    let of_clip =
-        [no_full_turn(found), near_camera(found), focal(found), focal_contradicted(found), height_unusual(found)];
-    let flags = of_clip.into_iter().chain([
+    let flags = [
+        no_full_turn(found),
+        near_camera(found),
+        focal_estimated(found),
+        focal_suspicious(found),
+        focal_contradicted(found),
+        height_unusual(found),
         keypoints_noisy(found),
         sides_swapped(found),
         fit_misses(found),
         cloth_between_legs(found),
-    ]);
+    ];
     flags.into_iter().flatten().collect()
 }
 
@@ -107,16 +111,22 @@ fn near_camera(found: &FitFindings<'_>) -> Option<Flag> {
     (distance < NEAR).then(|| Flag::of_clip(Kind::NearCamera, message, distance, NEAR))
 }
 
-fn focal(found: &FitFindings<'_>) -> Option<Flag> {
-    let Camera { width, height, fx, fy, .. } = *found.camera;
-    let (side, focal) = if width >= height { (width, fx) } else { (height, fy) };
+/// The camera's longer side and its focal length along it, pixels.
+fn long_side(camera: &Camera) -> (u32, f64) {
+    if camera.width >= camera.height { (camera.width, camera.fx) } else { (camera.height, camera.fy) }
+}
+
+fn focal_suspicious(found: &FitFindings<'_>) -> Option<Flag> {
+    let (side, focal) = long_side(found.camera);
     let view = 2.0 * (0.5 * f64::from(side) / focal).atan().to_degrees();
     let [narrow, wide] = VIEWS_DEGREES;
-    if !(narrow..=wide).contains(&view) {
-        let message = format!("a focal length of {focal:.0} px means a view of {view:.0} degrees");
-        let limit = if view < narrow { narrow } else { wide };
-        return Some(Flag::of_clip(Kind::FocalSuspicious, message, view, limit));
-    }
+    let message = format!("a focal length of {focal:.0} px means a view of {view:.0} degrees");
+    let limit = if view < narrow { narrow } else { wide };
+    (!(narrow..=wide).contains(&view)).then(|| Flag::of_clip(Kind::FocalSuspicious, message, view, limit))
+}
+
+fn focal_estimated(found: &FitFindings<'_>) -> Option<Flag> {
+    let (_, focal) = long_side(found.camera);
     let message = format!("no focal length was given; {focal:.0} px were found");
     (found.camera_estimated && found.contradicted_focal.is_none())
         .then(|| Flag::of_clip(Kind::FocalEstimated, message, focal, 0.0))
@@ -267,8 +277,10 @@ mod tests {
         assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("near_camera", 0.91)]);
         assert!(flags[0].message.contains("0.9 times"), "{}", flags[0].message);
         let odd = Camera { fy: 4000.0, ..camera.clone() };
-        let flags = fit_flags(&FitFindings { camera: &odd, ..good });
+        let flags = fit_flags(&FitFindings { camera: &odd, ..good.clone() });
         assert_eq!(flags.iter().map(|f| f.code).collect::<Vec<_>>(), ["focal_suspicious"]);
         assert!((flags[0].value - 9.1).abs() < 0.1);
+        let flags = fit_flags(&FitFindings { camera: &odd, camera_estimated: true, ..good });
+        assert_eq!(flags.iter().map(|f| f.code).collect::<Vec<_>>(), ["focal_estimated", "focal_suspicious"]);
     }
 }

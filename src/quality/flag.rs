@@ -157,8 +157,8 @@ impl Kind {
             }
             Kind::FocalEstimated => "Give the camera's focal length: from a guess, size and distance are less exact.",
             Kind::FocalSuspicious => {
-                "Check the focal length: it belongs to the size of these very images, in pixels, and no phone is known \
-                 for such a view."
+                "Check the focal length, or give it where none came with the clip: it belongs to the size of these very \
+                 images, in pixels, and no phone is known for such a view."
             }
             Kind::FocalContradicted => {
                 "Check the focal length: it belongs to the size of these very images, in pixels. One that the clip contradicts \

@@ -68,6 +68,8 @@ enum Verdict {
     Silent,
     Refused,
     Crashed,
+    /// No picture of it or of the first row to compare
+    Uncompared,
 }
 
 impl Verdict {
@@ -77,7 +79,8 @@ impl Verdict {
             Status::Refused(_) => return Verdict::Refused,
             Status::Fitted => {}
         }
-        if worst_drop(outcome, clean).is_none_or(|drop| drop <= ALLOWED_DB) {
+        let Some(drop) = worst_drop(outcome, clean) else { return Verdict::Uncompared };
+        if drop <= ALLOWED_DB {
             Verdict::Holds
         } else if new_flags(outcome, clean).is_empty() {
             Verdict::Silent
@@ -93,6 +96,7 @@ impl Verdict {
             Verdict::Silent => "**worse, not flagged**",
             Verdict::Refused => "refused",
             Verdict::Crashed => "**crashed**",
+            Verdict::Uncompared => "not compared",
         }
     }
 }
@@ -153,10 +157,14 @@ pub fn document(
     let count = |wanted: Verdict| rows[1..].iter().filter(|(_, o)| Verdict::of(o, clean) == wanted).count();
     let [holds, said, silent, refused, crashed] =
         [Verdict::Holds, Verdict::Said, Verdict::Silent, Verdict::Refused, Verdict::Crashed].map(count);
+    let uncompared = match count(Verdict::Uncompared) {
+        0 => String::new(),
+        n => format!(", {n} not compared"),
+    };
     let _ = write!(
         text,
         "\nOf {} others {holds} hold, {said} are worse and flagged, {silent} worse and not flagged, {refused} refused, \
-         {crashed} crashed.\n",
+         {crashed} crashed{uncompared}.\n",
         rows.len() - 1
     );
     let _ = write!(text, "\n![each case: input, a held-out view, a held-out pose]({}/cases.jpg)\n", comparison.name());
@@ -263,5 +271,14 @@ mod tests {
         ] {
             assert!(page.contains(part), "`{part}` is not in\n{page}");
         }
+    }
+
+    #[test]
+    fn nothing_holds_where_nothing_was_compared() {
+        let refused =
+            Outcome { status: Status::Refused("no".to_owned()), views_db: None, ..outcome("clean", 0.0, &[]) };
+        let refused = Outcome { poses_db: None, ..refused };
+        assert_eq!(Verdict::of(&outcome("a", 28.0, &[]), &refused), Verdict::Uncompared);
+        assert_eq!(Verdict::of(&refused, &outcome("clean", 28.0, &[])), Verdict::Refused);
     }
 }
