@@ -50,8 +50,21 @@ if [ -z "$clip" ]; then
     fi
 fi
 part() { # part NAME: the file of that name in the clip, with any ending
-    find "$clip" -maxdepth 1 -type f -name "$1.*" | sort | head -1
+    find -L "$clip/" -maxdepth 1 -type f -name "$1.*" | sort | head -1
 }
+upload=()
+field() { # field NAME FILE: one more part of the upload. In quotes, since curl reads , and ; in a path as its own.
+    local path=${2//\\/\\\\}
+    upload+=(-F "$1=@\"${path//\"/\\\"}\"")
+}
+for name in video masks keypoints; do
+    file=$(part "$name")
+    [ -n "$file" ] || { echo "There is no $name.* in $clip" >&2; exit 1; }
+    field "$name" "$file"
+done
+for file in camera.json poses.npz; do
+    [ ! -f "$clip/$file" ] || field "${file%.*}" "$clip/$file"
+done
 
 echo "Starting the server"
 log=$out/server.log
@@ -90,11 +103,8 @@ for job in json.load(sys.stdin)["jobs"]:
     done
 done
 
-form=(-F "video=@$(part video)" -F "masks=@$(part masks)" -F "keypoints=@$(part keypoints)")
-[ -f "$clip/camera.json" ] && form+=(-F "camera=@$clip/camera.json")
-[ -f "$clip/poses.npz" ] && form+=(-F "poses=@$clip/poses.npz")
-form+=(-F "options={\"preset\": \"$preset\"};type=application/json")
-answer=$(ask "${form[@]}" "$url/v1/jobs") || server_failed "The upload failed"
+upload+=(-F "options={\"preset\": \"$preset\"};type=application/json")
+answer=$(ask "${upload[@]}" "$url/v1/jobs") || server_failed "The upload failed"
 job=$(printf %s "$answer" | json id)
 [ -n "$job" ] || { echo "The upload was refused: $answer" >&2; exit 1; }
 echo "Job $job"

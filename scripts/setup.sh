@@ -3,6 +3,14 @@
 # want besides: Node.js, make, rustfmt and clippy. Does nothing where all are there.
 set -euo pipefail
 
+# Before anything is installed: a distribution's own cargo is often too old.
+rust=$(sed -n 's/^rust-version = "\(.*\)"$/\1/p' "$(dirname "$0")/../Cargo.toml")
+have=$(cargo --version 2>/dev/null | cut -d' ' -f2 || true)
+if [ "$(printf '%s\n' "$rust" "${have:-0}" | sort -V | head -1)" != "$rust" ]; then
+    echo "Rust $rust or newer is needed, and cargo is ${have:-missing}: https://rustup.rs has it" >&2
+    exit 1
+fi
+
 tests=
 [ "${1:-}" != tests ] || tests=yes
 if [ -n "$tests" ] && ! { cargo fmt --version && cargo clippy --version; } >/dev/null 2>&1; then

@@ -1,6 +1,6 @@
 //! Where Effigy keeps what it makes: bodies, jobs, avatars.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// `$EFFIGY_DATA_DIR`, else `$XDG_DATA_HOME/effigy`, else `~/.local/share/effigy`; the working directory's
 /// `effigy-data` where there is not even a home.
@@ -30,7 +30,12 @@ pub fn body_name(text: &str) -> String {
 
 /// The file of a named body. No name leads out of the folder.
 pub fn body_path(name: &str) -> PathBuf {
-    data_dir().join("bodies").join(format!("{}.body.npz", body_name(name)))
+    body_path_in(&data_dir(), name)
+}
+
+/// As [`body_path`], of another data folder.
+pub fn body_path_in(data_dir: &Path, name: &str) -> PathBuf {
+    data_dir.join("bodies").join(format!("{}.body.npz", body_name(name)))
 }
 
 fn choose(variable: impl Fn(&str) -> Option<PathBuf>) -> PathBuf {

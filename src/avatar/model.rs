@@ -3,6 +3,8 @@
 use std::io::{BufReader, Cursor, Read, Seek, Write};
 use std::path::Path;
 
+use glam::{Quat, Vec3};
+
 use super::ply::Mesh;
 use super::pose::Pose;
 use crate::atomic_file;
@@ -88,6 +90,13 @@ impl AvatarModel {
     pub fn rest_vertices(&self) -> Vec<[f32; 3]> {
         let shaped = self.body.shaped_vertices(&self.betas);
         shaped.iter().zip(&self.offsets).map(|(v, d)| std::array::from_fn(|k| v[k] + d[k])).collect()
+    }
+
+    /// Places of the model that the avatar's body was made of, as `motion.npz` and requests have them (SMPL's `transl`), plus this
+    /// are the avatar's own, metres: a body turns about its pelvis joint, and about another one it lies as it did at another place.
+    pub fn pelvis_shift(&self, pose: &Pose) -> Vec3 {
+        let moved = Vec3::from(self.pelvis_moved);
+        Quat::from_scaled_axis(Vec3::from_slice(pose)) * moved - moved
     }
 
     /// The body posed in world space.

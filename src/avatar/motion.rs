@@ -14,13 +14,8 @@ pub fn write_motion<W: Write + Seek>(model: &AvatarModel, out: W) -> Result<W, N
     let n = model.poses.len();
     let mut npz = NpzWriter::new(out);
     npz.add("poses", &[n, N_POSE], model.poses.as_flattened())?;
-    // A body turns about its pelvis: about another one it lies as it did at another place.
-    let moved = glam::Vec3::from(model.pelvis_moved);
     let frames = || model.poses.iter().zip(&model.transl).map(|(pose, transl)| (pose, glam::Vec3::from(*transl)));
-    let trans = frames().map(|(pose, transl)| {
-        let turn = glam::Quat::from_scaled_axis(glam::Vec3::from_slice(pose));
-        (transl - (turn * moved - moved)).to_array()
-    });
+    let trans = frames().map(|(pose, transl)| (transl - model.pelvis_shift(pose)).to_array());
     npz.add("trans", &[n, 3], trans.collect::<Vec<_>>().as_flattened())?;
     let joint = glam::Vec3::from(model.body.shaped_joints(&model.betas)[0]);
     let pelvis = frames().map(|(_, transl)| (joint + transl).to_array());

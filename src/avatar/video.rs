@@ -42,6 +42,22 @@ impl VideoWriter {
             Quality::Fine => ("yuv444p", ["-crf".to_owned(), "12".to_owned()]),
             Quality::Rate(kilobits) => ("yuv420p", ["-b:v".to_owned(), format!("{kilobits}k")]),
         };
+        // Players take a video of 720 lines or more for BT.709 where it does not say; FFmpeg by itself makes BT.601 of RGB.
+        let colours: &[&str] = match quality {
+            Quality::Playable => &[
+                "-vf",
+                "scale=out_color_matrix=bt709:out_range=tv",
+                "-colorspace",
+                "bt709",
+                "-color_primaries",
+                "bt709",
+                "-color_trc",
+                "bt709",
+                "-color_range",
+                "tv",
+            ],
+            Quality::Fine | Quality::Rate(_) => &[],
+        };
         let input = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s"];
         let child = Command::new("ffmpeg")
             .args(["-v", "error", "-y"])
@@ -49,6 +65,7 @@ impl VideoWriter {
             .args([&format!("{}x{}", size.0, size.1), "-r", &fps.to_string(), "-i", "-"])
             .args(["-c:v", "libx264", "-preset", "medium"])
             .args(rate)
+            .args(colours)
             .args(["-pix_fmt", format, "-movflags", "+faststart"])
             .arg(path)
             .stdin(Stdio::piped())
@@ -85,5 +102,38 @@ impl Drop for VideoWriter {
         // After `finish` the child is gone and this does nothing.
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_player_is_told_which_colours_it_gets() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("film.mp4");
+        let mut film = VideoWriter::create(&path, (64, 64), 10.0, Quality::Playable).unwrap();
+        (0..3).for_each(|_| film.push(&RgbImage::from_pixel(64, 64, image::Rgb([200, 120, 90]))).unwrap());
+        film.finish().unwrap();
+        let entries = "stream=color_range,color_space,color_transfer,color_primaries";
+        let probe =
+            Command::new("ffprobe").args(["-v", "error", "-of", "csv", "-show_entries", entries]).arg(&path).output();
+        assert_eq!(String::from_utf8(probe.unwrap().stdout).unwrap().trim(), "stream,tv,bt709,bt709,bt709");
+        // As a player does that heeds them.
+        let decode = [
+            "-vf",
+            "scale=in_color_matrix=bt709:in_range=tv",
+            "-frames:v",
+            "1",
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "rgb24",
+            "-",
+        ];
+        let rgb = Command::new("ffmpeg").args(["-v", "error", "-i"]).arg(&path).args(decode).output().unwrap().stdout;
+        let middle = &rgb[3 * (32 * 64 + 32)..][..3];
+        assert!(middle.iter().zip([200u8, 120, 90]).all(|(&a, b)| a.abs_diff(b) <= 3), "{middle:?}");
     }
 }

@@ -132,6 +132,18 @@ pub async fn restore(args: RestoreArgs) -> Result<()> {
         to.root().display(),
         manifest.made_at
     );
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let (folder, written) = (std::fs::metadata(to.root())?.uid(), std::fs::metadata(to.database())?.uid());
+        if folder != written {
+            eprintln!(
+                "What was restored belongs to the user {written}, the data folder to {folder}: a service that runs as the latter \
+                 cannot write it before `chown -R {folder} {}`.",
+                to.root().display()
+            );
+        }
+    }
     Ok(())
 }
 

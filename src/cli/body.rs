@@ -6,12 +6,15 @@ use std::time::Instant;
 use anyhow::{Context, Result, ensure};
 use effigy::body::Body;
 use effigy::body::import::{ImportOptions, import};
-use effigy::data_dir::body_path;
+use effigy::data_dir::{body_path_in, data_dir};
 
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
     command: Command,
+    /// The data folder, where the service has another one than `$EFFIGY_DATA_DIR`.
+    #[arg(long, global = true, value_name = "DIR")]
+    data_dir: Option<PathBuf>,
 }
 
 #[derive(clap::Subcommand)]
@@ -52,37 +55,38 @@ enum Command {
 }
 
 pub fn run(args: Args) -> Result<()> {
+    let data = args.data_dir.unwrap_or_else(data_dir);
     match args.command {
         Command::Import { file, out, name, any_wheel, full_detail } => {
-            run_import(&file, out, &ImportOptions { name, any_wheel, full_detail })
+            run_import(&data, &file, out, &ImportOptions { name, any_wheel, full_detail })
         }
         Command::Info { body } => {
-            print!("{}", describe(&load(&body)?));
+            print!("{}", describe(&load(&data, &body)?));
             Ok(())
         }
         Command::Check { body } => {
-            let body = load(&body)?;
+            let body = load(&data, &body)?;
             println!("{}: valid, {} vertices, {} faces", body.name, body.n_vertices(), body.n_faces());
             Ok(())
         }
         Command::Export { body, betas, out } => {
-            let body = load(&body)?;
+            let body = load(&data, &body)?;
             std::fs::write(&out, ply(&body, &betas)).with_context(|| out.display().to_string())
         }
     }
 }
 
 /// A body by its file or its name.
-fn load(body: &str) -> Result<Body> {
-    let path = if Path::new(body).is_file() { PathBuf::from(body) } else { body_path(body) };
+fn load(data: &Path, body: &str) -> Result<Body> {
+    let path = if Path::new(body).is_file() { PathBuf::from(body) } else { body_path_in(data, body) };
     ensure!(path.is_file(), "no body `{body}` (nor {}); `effigy body import` makes one", path.display());
     Body::load(&path).with_context(|| path.display().to_string())
 }
 
-fn run_import(file: &Path, out: Option<PathBuf>, options: &ImportOptions) -> Result<()> {
+fn run_import(data: &Path, file: &Path, out: Option<PathBuf>, options: &ImportOptions) -> Result<()> {
     let start = Instant::now();
     let imported = import(file, options).with_context(|| file.display().to_string())?;
-    let out = out.unwrap_or_else(|| body_path(&imported.body.name));
+    let out = out.unwrap_or_else(|| body_path_in(data, &imported.body.name));
     imported.body.save(&out).with_context(|| out.display().to_string())?;
     print!("{}", describe(&imported.body));
     for note in &imported.notes {

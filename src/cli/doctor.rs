@@ -7,6 +7,7 @@ use anyhow::{Result, bail};
 use effigy::body::Body;
 use effigy::capture::Confinement;
 use effigy::config::{Auth, Bytes, Config, Value};
+use effigy::data_dir::body_path_in;
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::Env;
 use effigy::jobs::keys::Keys;
@@ -167,9 +168,12 @@ fn disk(data: &Path) -> Check {
 }
 
 fn body(data: &Path) -> Check {
-    let path = data.join("bodies").join("default.body.npz");
+    let path = body_path_in(data, "default");
     let data = data.display();
-    let mend = format!("import it: EFFIGY_DATA_DIR={data} scripts/body.sh EFFIGY, or effigy body import FILE");
+    let mend = format!(
+        "import it, as the user who runs the service: EFFIGY_DATA_DIR='{data}' scripts/body.sh EFFIGY, or effigy body import \
+         WHEEL --data-dir '{data}'"
+    );
     match Body::load(&path) {
         Ok(body) => Check::ok("body", format!("{} vertices, {} faces", body.n_vertices(), body.n_faces())),
         Err(_) if !path.exists() => Check::failed("body", format!("there is no {}", path.display()), mend),

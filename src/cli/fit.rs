@@ -56,10 +56,16 @@ pub struct Args {
     /// Where the avatar goes. A checkpoint in it is gone on from if this program made it of the same files and options.
     #[arg(long, default_value = "avatar")]
     out: PathBuf,
+    /// The data folder with the bodies, where the service has another one than `$EFFIGY_DATA_DIR`.
+    #[arg(long, value_name = "DIR")]
+    data_dir: Option<PathBuf>,
     /// Progress as lines of JSON.
     #[arg(long)]
     json: bool,
 }
+
+/// In the avatar's folder, while it is fitted. A folder that may have been there before has no such name: all in it goes in the end.
+const WORK: &str = ".effigy-work";
 
 pub fn run(args: Args) -> anyhow::Result<()> {
     if let Ok(filter) = std::env::var("EFFIGY_LOG") {
@@ -68,11 +74,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         tracing_subscriber::fmt().with_writer(std::io::stderr).with_env_filter(filter).init();
     }
     let input = input_of(&args)?;
-    let work = args.out.join("work");
+    let work = args.out.join(WORK);
+    let data = args.data_dir.clone().unwrap_or_else(data_dir);
     let gpu = Gpu::open(&DeviceSelect::Auto)?;
     let stopped = stop_on_ctrl_c();
     let mut observer = Follower { bar: bar(args.json), json: args.json, stopped };
-    let outcome = pipeline::run(&gpu, &input, &data_dir(), &work, &args.out, &mut observer)?;
+    let outcome = pipeline::run(&gpu, &input, &data, &work, &args.out, &mut observer)?;
     observer.bar.finish_and_clear();
     std::fs::remove_dir_all(&work)?;
     for (kernel, time) in gpu.take_timings() {

@@ -111,7 +111,7 @@ type Shot = (String, Pose, Place);
 
 fn shots(args: &Args, model: &AvatarModel) -> Result<Vec<Shot>> {
     if let Some(path) = &args.poses {
-        return poses(path, args.trans_is_pelvis).with_context(|| path.display().to_string());
+        return poses(model, path, args.trans_is_pelvis).with_context(|| path.display().to_string());
     }
     if let Some(n) = args.turntable {
         return Ok(turntable(model, n));
@@ -121,15 +121,18 @@ fn shots(args: &Args, model: &AvatarModel) -> Result<Vec<Shot>> {
     Ok(vec![(format!("frame_{:04}", model.frames[k]), model.poses[k], Place::Transl(model.transl[k]))])
 }
 
-fn poses(path: &Path, trans_is_pelvis: bool) -> Result<Vec<Shot>> {
+fn poses(model: &AvatarModel, path: &Path, trans_is_pelvis: bool) -> Result<Vec<Shot>> {
     let npz = Npz::open(path)?;
     let poses = npz.shaped("poses", &[usize::MAX, N_POSE])?;
     let n = poses.shape[0];
     let is_pelvis = npz.arrays.contains_key("pelvis");
     let places = npz.shaped(if is_pelvis { "pelvis" } else { "trans" }, &[n, 3])?.f32();
-    let place = |at| if is_pelvis || trans_is_pelvis { Place::Pelvis(at) } else { Place::Transl(at) };
+    let place = |pose: &Pose, at: [f32; 3]| match is_pelvis || trans_is_pelvis {
+        true => Place::Pelvis(at),
+        false => Place::Transl((Vec3::from(at) + model.pelvis_shift(pose)).to_array()),
+    };
     let rows = poses.f32().as_chunks::<N_POSE>().0.to_vec().into_iter().zip(places.as_chunks().0.to_vec());
-    Ok(rows.enumerate().map(|(i, (pose, at))| (format!("pose_{i:04}"), pose, place(at))).collect())
+    Ok(rows.enumerate().map(|(i, (pose, at))| (format!("pose_{i:04}"), pose, place(&pose, at))).collect())
 }
 
 /// The first captured pose, turned about the body's own axis; the pelvis stays where it was.

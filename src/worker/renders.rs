@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::SystemTime;
 
+use glam::Vec3;
+
 use crate::atomic_file;
-use crate::avatar::{self, AvatarModel, Place, RenderSpec, Renderer, ply};
+use crate::avatar::{self, AvatarModel, Place, Pose, RenderSpec, Renderer, ply};
 use crate::gpu::Gpu;
 use crate::jobs::render::{self, Background, ImageRequest, Light, PoseSource, RenderError, RenderRequest, What};
 
@@ -94,9 +96,9 @@ impl Loaded {
             }
             PoseSource::Given { pose, place } => {
                 let numbers = pose.len();
-                let pose = pose.as_slice().try_into();
-                let pose = pose.map_err(|_| RenderError::Refused(format!("the pose has {numbers} numbers")))?;
-                (pose, place.map_or_else(|| self.first_pelvis(), to_place))
+                let pose: Result<&Pose, _> = pose.as_slice().try_into();
+                let pose = *pose.map_err(|_| RenderError::Refused(format!("the pose has {numbers} numbers")))?;
+                (pose, place.map_or_else(|| self.first_pelvis(), |place| place_of(model, &pose, place)))
             }
         };
         Ok(RenderSpec {
@@ -140,9 +142,9 @@ impl Loaded {
     }
 }
 
-fn to_place(place: render::Place) -> Place {
+fn place_of(model: &AvatarModel, pose: &Pose, place: render::Place) -> Place {
     match place {
-        render::Place::Translation(t) => Place::Transl(t),
+        render::Place::Translation(t) => Place::Transl((Vec3::from(t) + model.pelvis_shift(pose)).to_array()),
         render::Place::Pelvis(p) => Place::Pelvis(p),
     }
 }

@@ -27,7 +27,7 @@ pub(in crate::http) struct RenderBody {
     pub pose: Option<Vec<f64>>,
     /// A frame of the video, from 0: the pose and place that were fitted to it, or to the nearest that was fitted.
     pub frame: Option<u32>,
-    /// With `pose`: metres, added after skinning.
+    /// With `pose`: SMPL's `transl`, metres, as `trans` of `motion.npz`.
     pub translation: Option<[f64; 3]>,
     /// With `pose`: where the pelvis is, metres; wins over `translation`. With neither, as in the first frame.
     pub pelvis: Option<[f64; 3]>,

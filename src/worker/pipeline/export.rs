@@ -43,6 +43,13 @@ pub(super) struct Fitted {
     pub config: FitConfig,
 }
 
+impl Fitted {
+    /// The video's numbers of the frames that stage 0 read with sides swapped.
+    pub fn swapped_frames(&self) -> Vec<u32> {
+        self.start.report.swapped.iter().map(|&t| self.capture.frames[t].index).collect()
+    }
+}
+
 /// Writes the avatar's files, `report.json` and `report.html` into `out`.
 pub(super) fn export(
     gpu: &Arc<Gpu>,
@@ -147,7 +154,7 @@ fn report(
             "residual_px": fitted.start.report.residual_px,
             "guessed_height_m": fitted.start.report.guessed_height_m,
             "tracked_points": fitted.start.report.tracked_points,
-            "swapped_frames": fitted.start.report.swapped,
+            "swapped_frames": fitted.swapped_frames(),
             "notes": fitted.start.report.notes,
         },
         "covered": fitted.covered,

@@ -18,7 +18,7 @@ impl<'a> Quality<'a> {
     /// `seen [F]`: the faces that a frame shows.
     pub fn of(fitted: &'a Fitted, model: &AvatarModel, scores: &[FrameScore], seen: &[bool]) -> Self {
         let undressed = model.body.shaped_vertices(&model.betas);
-        let swapped: Vec<u32> = fitted.start.report.swapped.iter().map(|&t| model.frames[t]).collect();
+        let swapped: Vec<u32> = fitted.swapped_frames();
         let iou: Vec<f64> = scores.iter().map(|s| s.iou).collect();
         let distances = distances_in_heights(model, &undressed);
         let residuals = keypoint_residuals(&fitted.start.report.residual_px, &fitted.measures);

@@ -12,6 +12,7 @@ use super::monitor::Monitor;
 use super::{Observer, Outcome, PipelineError, PipelineInput, Stage, StopReason, export};
 use crate::body::Body;
 use crate::capture::{Capture, CaptureError, CaptureOptions};
+use crate::data_dir::body_path_in;
 use crate::fit::covered::Covered;
 use crate::fit::detail::{Detail, DetailPlan};
 use crate::fit::skirt::Skirt;
@@ -35,7 +36,7 @@ pub fn run(
     let mut monitor = Monitor::new(gpu, observer, input.options.preset, &checkpoint, curves);
     let mut config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
-    let body_file = data_dir.join("bodies").join(format!("{}.body.npz", input.options.body));
+    let body_file = body_path_in(data_dir, &input.options.body);
     if begin_anew_for_others(work_dir, input, &body_file).map_err(anyhow::Error::from)? {
         monitor.begin_anew();
     }

@@ -25,7 +25,7 @@ fn model() -> AvatarModel {
         face_colours: vec![[0.5; 3]; body.n_faces()],
         poses: vec![upright; 2],
         transl: vec![[0.0, 0.0, 3.0], [0.5, 0.0, 3.0]],
-        pelvis_moved: [0.0; 3],
+        pelvis_moved: [0.0, 0.1, 0.0],
         frames: vec![0, 3],
         fps: 30.0,
         camera: Camera::pinhole(64, 64, [90.0, 90.0, 32.0, 32.0]),
@@ -88,6 +88,9 @@ async fn a_worker_process_draws_pictures_and_meshes() {
 
     let mut pose = vec![0.0; 72];
     pose[0] = std::f64::consts::PI;
+    // As `motion.npz` has frame 0: the pelvis that it is turned about lies 0.1 m lower in the body.
+    let again = draw(&url, &json!({ "pose": pose, "translation": [0.0, 0.2, 3.0] })).await;
+    assert!(again == first, "the motion sent back stands where it stood");
     let camera = json!({ "width": 40, "height": 50, "fx": 60, "fy": 60, "cx": 20, "cy": 25 });
     let body = json!({ "pose": pose, "pelvis": [0, 0, 3], "camera": camera, "background": "#ff0000" });
     let picture = draw(&url, &body).await;
