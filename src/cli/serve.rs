@@ -9,7 +9,8 @@ use effigy::config::{Auth, Config};
 use effigy::http::{Access, App, ClipInspector, Limits, Openness};
 use effigy::jobs::keys::Keys;
 use effigy::jobs::render::{NoRenderer, Renderer};
-use effigy::jobs::{Env, Queue, State};
+use effigy::jobs::sqlite::SqliteQueue;
+use effigy::jobs::{Env, Queue, QueueError, State};
 use effigy::storage::Store;
 use effigy::webhooks::{Courier, Sender, system_lookup};
 use effigy::worker::{Reaper, Supervisor, SupervisorSettings};
@@ -26,7 +27,11 @@ pub struct Args {
 pub fn run(args: Args) -> Result<()> {
     let in_force = args.settings.resolve()?;
     let _spans = start_log(&in_force, "server")?;
-    tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(serve(in_force))
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let served = runtime.block_on(serve(in_force));
+    // Nobody waits any more for the clip that is being looked at; what it leaves, the next start removes.
+    runtime.shutdown_timeout(Duration::from_secs(1));
+    served
 }
 
 async fn serve(in_force: InForce) -> Result<()> {
@@ -36,12 +41,14 @@ async fn serve(in_force: InForce) -> Result<()> {
         bail!("another server uses the data folder {}", store.root().display());
     };
     let env = Env::system();
-    let queue = open_queue(&store, &env, policy(config)).await?;
-    match queue.apply_retention().await? {
-        0 => {}
-        jobs => tracing::info!(jobs, "retain_days has changed: what has ended is kept by it"),
-    }
-    clean(&store, queue.as_ref()).await?;
+    let queue = match begin(&store, &env, config).await {
+        Err(full) if full.chain().filter_map(|e| e.downcast_ref::<QueueError>()).any(QueueError::is_disk_full) => {
+            tracing::warn!("the disk is full: what is kept for deletions is given up to start");
+            store.drop_ballast().context("making a little room")?;
+            begin(&store, &env, config).await?
+        }
+        begun => begun?,
+    };
     store.load_ballast().context("keeping a little room for deletions")?;
     let reaper = tokio::spawn(Reaper { queue: queue.clone(), store: store.clone() }.run());
 
@@ -108,6 +115,17 @@ async fn serve(in_force: InForce) -> Result<()> {
     Ok(())
 }
 
+/// Opens the database and brings it and the files to what holds now.
+async fn begin(store: &Arc<Store>, env: &Env, config: &Config) -> Result<Arc<SqliteQueue>> {
+    let queue = open_queue(store, env, policy(config)).await?;
+    match queue.apply_retention().await? {
+        0 => {}
+        jobs => tracing::info!(jobs, "retain_days has changed: what has ended is kept by it"),
+    }
+    clean(store, queue.as_ref()).await?;
+    Ok(queue)
+}
+
 /// Removes what a killed server left half-written, and files of expired jobs that are still there.
 async fn clean(store: &Store, queue: &dyn Queue) -> Result<()> {
     let mut known = HashSet::new();
@@ -127,7 +145,9 @@ async fn openness(config: &Config, keys: &dyn Keys) -> Result<Openness> {
             tracing::warn!("whoever reaches {} may do everything: auth = \"open\"", config.listen);
             Ok(Openness::Open)
         }
-        Auth::Auto if config.listen.ip().is_loopback() => Ok(if any { Openness::Keys } else { Openness::Local }),
+        Auth::Auto if config.listen.ip().is_loopback() => {
+            Ok(if keys.any_key().await? { Openness::Keys } else { Openness::Local })
+        }
         Auth::Auto if !any => bail!(
             "others can reach {} and there is no key: make one (effigy keys create NAME), listen on 127.0.0.1, or set \
              auth to \"open\"",

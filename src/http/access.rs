@@ -79,7 +79,8 @@ impl Access {
         }
         match self.openness {
             Openness::Open => Ok(Caller::default()),
-            Openness::Local if !keys.any_living_key().await? => {
+            // A last key that expires or is revoked closes the server; it does not open it again.
+            Openness::Local if !keys.any_key().await? => {
                 self.check_local(headers).map_err(ApiError::Forbidden)?;
                 Ok(Caller::default())
             }
@@ -176,22 +177,25 @@ impl<S: Send + Sync> FromRequestParts<S> for Caller {
     }
 }
 
-/// What a route asks of a key; None for what is everybody's.
-fn needed(method: &Method, route: &str) -> Option<Scope> {
+/// What a route asks of a key, any of them; None for what is everybody's.
+fn needed(method: &Method, route: &str) -> Option<&'static [Scope]> {
+    let looks = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
     match route {
-        "/metrics" => Some(Scope::Metrics),
+        "/metrics" => Some(&[Scope::Metrics]),
         // They make pictures and addresses of what may be read, and change nothing.
-        "/v1/avatars/{id}/renders" | "/v1/avatars/{id}/links" => Some(Scope::Read),
+        "/v1/avatars/{id}/renders" | "/v1/avatars/{id}/links" => Some(&[Scope::Read]),
         _ if !route.starts_with("/v1/") => None,
-        _ if matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS) => Some(Scope::Read),
-        _ => Some(Scope::Write),
+        // Who uploads asks how much has come before going on.
+        _ if looks && route.starts_with("/v1/uploads") => Some(&[Scope::Read, Scope::Write]),
+        _ if looks => Some(&[Scope::Read]),
+        _ => Some(&[Scope::Write]),
     }
 }
 
 /// Middleware inside the routes, where the pattern of the path is known.
 pub(super) async fn check(State(app): State<App>, request: Request, next: Next) -> Result<Response, ApiError> {
     let route = request.extensions().get::<MatchedPath>().map_or(String::new(), |path| path.as_str().into());
-    let Some(scope) = needed(request.method(), &route) else {
+    let Some(scopes) = needed(request.method(), &route) else {
         return Ok(run_as(Caller::default(), request, next).await);
     };
     if links::is_link(&route, &request) {
@@ -199,8 +203,9 @@ pub(super) async fn check(State(app): State<App>, request: Request, next: Next) 
         return Ok(run_as(Caller::default(), request, next).await);
     }
     let caller = app.access.caller(request.headers(), app.env.now()).await?;
-    if let Some(key) = caller.key().filter(|key| !key.may(scope)) {
-        return Err(ApiError::Forbidden(format!("the key {:?} lacks the scope {:?}", key.name, scope.name())));
+    if let Some(key) = caller.key().filter(|key| !scopes.iter().any(|scope| key.may(*scope))) {
+        let lacks = scopes[0].name();
+        return Err(ApiError::Forbidden(format!("the key {:?} lacks the scope {lacks:?}", key.name)));
     }
     let (mut parts, body) = request.into_parts();
     check_owner(&app, &caller, &route, &mut parts).await?;

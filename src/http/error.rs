@@ -295,9 +295,7 @@ impl IntoResponse for ApiError {
 impl From<QueueError> for ApiError {
     fn from(error: QueueError) -> Self {
         match &error {
-            QueueError::Database(sqlx::Error::Database(cause)) if is_disk_full(cause.code().as_deref()) => {
-                ApiError::DiskFull
-            }
+            full if full.is_disk_full() => ApiError::DiskFull,
             QueueError::Quota { .. } => ApiError::TooMany {
                 slug: "quota-exceeded",
                 detail: error.to_string(),
@@ -306,11 +304,6 @@ impl From<QueueError> for ApiError {
             _ => ApiError::internal(error),
         }
     }
-}
-
-/// SQLITE_FULL, also in its extended forms.
-fn is_disk_full(code: Option<&str>) -> bool {
-    code.and_then(|code| code.parse::<u32>().ok()).is_some_and(|code| code & 0xff == 13)
 }
 
 impl From<std::io::Error> for ApiError {

@@ -40,7 +40,7 @@ fn recorder() -> Option<&'static PrometheusHandle> {
 fn describe() {
     describe_gauge!("effigy_jobs", "Jobs in each state");
     describe_gauge!("effigy_queue_depth", "Jobs that wait for a worker");
-    describe_counter!("effigy_stage_jobs_total", "Jobs that went through a stage");
+    describe_gauge!("effigy_stage_jobs_total", "Jobs that went through a stage");
     describe_gauge!("effigy_stage_seconds_total", "Seconds that jobs spent in a stage");
     describe_gauge!("effigy_failed_jobs", "Failed jobs that are kept, by the type of their error");
     describe_gauge!("effigy_queue_oldest_seconds", "How long the oldest waiting job has been there");
@@ -94,7 +94,8 @@ pub(super) async fn scrape(queue: &dyn Queue) -> Result<String, QueueError> {
         }
     }
     for time in queue.stage_times().await? {
-        counter!("effigy_stage_jobs_total", "stage" => time.stage.clone()).absolute(time.jobs);
+        // Of the jobs that are there, as the times are: deletions lower both, which a counter cannot follow.
+        gauge!("effigy_stage_jobs_total", "stage" => time.stage.clone()).set(time.jobs as f64);
         gauge!("effigy_stage_seconds_total", "stage" => time.stage).set(time.secs);
     }
     let figures = queue.figures().await?;

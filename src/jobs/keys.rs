@@ -128,6 +128,8 @@ pub trait Keys: Send + Sync + 'static {
     /// The living key of an id.
     fn living_key(&self, id: Uuid) -> QueueFuture<'_, Option<Key>>;
     fn any_living_key(&self) -> QueueFuture<'_, bool>;
+    /// Whether there ever was a key, be it expired or revoked by now.
+    fn any_key(&self) -> QueueFuture<'_, bool>;
     /// Whose a job is: None where there is no such job, Some(None) where it is nobody's.
     fn owner_of(&self, job: Uuid) -> QueueFuture<'_, Option<Option<Uuid>>>;
     /// Bytes of inputs and results that are kept for a key.

@@ -64,6 +64,22 @@ pub enum QueueError {
     Corrupt { column: &'static str, reason: String },
 }
 
+/// SQLite's codes of a disk without room: SQLITE_FULL in all its forms, and SQLITE_IOERR_SHMSIZE, with which a database is not opened.
+const FULL: u32 = 13;
+const SHARED_MEMORY_SIZE: u32 = 4874;
+
+impl QueueError {
+    /// Whether it was for want of room on the disk.
+    pub fn is_disk_full(&self) -> bool {
+        let (QueueError::Database(error) | QueueError::Migrate(sqlx::migrate::MigrateError::Execute(error))) = self
+        else {
+            return false;
+        };
+        let code = error.as_database_error().and_then(|error| error.code()?.parse::<u32>().ok());
+        code.is_some_and(|code| code & 0xff == FULL || code == SHARED_MEMORY_SIZE)
+    }
+}
+
 /// A worker's right to a job: every write names it, and none succeeds once the epoch has moved on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Lease {

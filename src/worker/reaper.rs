@@ -28,7 +28,23 @@ impl Reaper {
         }
     }
 
+    /// On a disk without a byte left the database cannot even write that something goes: the ballast makes room for that.
     pub async fn round(&self) -> Result<(), QueueError> {
+        match self.look().await {
+            Err(full) if full.is_disk_full() => {
+                let ballast = |what: std::io::Result<()>| {
+                    what.unwrap_or_else(|error| tracing::warn!(%error, "no room is kept for deletions"));
+                };
+                ballast(self.store.drop_ballast());
+                let again = self.look().await;
+                ballast(self.store.load_ballast());
+                again
+            }
+            round => round,
+        }
+    }
+
+    async fn look(&self) -> Result<(), QueueError> {
         for owner in self.queue.owners().await? {
             match Owner::remove_if_dead(&self.store.workers(), &owner) {
                 Ok(true) => {

@@ -235,16 +235,22 @@ impl Supervisor {
     async fn try_render(&self, request: RenderRequest) -> Result<TempPath, RenderError> {
         let deadline = Instant::now() + self.settings.timeout;
         let unavailable = |why: &str| RenderError::Unavailable(why.into());
+        let mut stop = self.stop.subscribe();
         // Kept over the worker's death.
         let slot = Arc::new(self.slots.clone().try_acquire_owned().map_err(|_| RenderError::Busy)?);
         for _ in 0..MAX_DEATHS {
             let mut up = self.up.subscribe();
-            let there = timeout_at(deadline, up.wait_for(|up| *up)).await;
+            let there = tokio::select! {
+                there = timeout_at(deadline, up.wait_for(|up| *up)) => there,
+                // The sender is ours, so this only ends with the wish.
+                _ = stop.wait_for(|stop| *stop) => return Err(unavailable("the server ends")),
+            };
             there.map_err(|_| unavailable("it is starting"))?.map_err(|_| unavailable("it has ended"))?;
             let id = self.next_id.fetch_add(1, Ordering::Relaxed);
             let answer = self.send(id, &request, slot.clone())?;
             match timeout_at(deadline, answer).await {
                 Ok(Ok(result)) => return result,
+                Ok(Err(_)) if *self.stop.borrow() => return Err(unavailable("the server ends")),
                 // It died with the request; a fresh one may do better.
                 Ok(Err(_)) => {}
                 // The answer may still come; it is then removed as nobody's.

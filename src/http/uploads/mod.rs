@@ -133,7 +133,7 @@ async fn begin(State(app): State<App>, caller: Caller, given: HeaderMap) -> Resu
     Ok((StatusCode::CREATED, location, expires).into_response())
 }
 
-/// A key may hold this part of all open uploads, so that others can begin some, too.
+/// A key may hold this part of all open uploads and of their bytes, so that others can begin some, too.
 const KEYS_SHARE: usize = 4;
 
 fn refuse_too_many(
@@ -147,9 +147,18 @@ fn refuse_too_many(
         return Err(ApiError::TooManyUploads { expected: format!("at most {most} uploads that no job has used yet") });
     }
     let share = most.div_ceil(KEYS_SHARE);
-    if asked.owner.is_some() && open.iter().filter(|(about, _)| about.owner == asked.owner).count() >= share {
+    let own: Vec<u64> =
+        open.iter().filter(|(about, _)| about.owner == asked.owner).map(|(about, _)| about.bytes).collect();
+    if asked.owner.is_some() && own.len() >= share {
         return Err(ApiError::TooManyUploads {
             expected: format!("at most {share} uploads of one key that no job has used yet"),
+        });
+    }
+    let share_bytes = most_bytes.div_ceil(KEYS_SHARE as u64);
+    // One may be as large as uploads are let be.
+    if asked.owner.is_some() && !own.is_empty() && own.iter().sum::<u64>().saturating_add(bytes) > share_bytes {
+        return Err(ApiError::TooManyUploads {
+            expected: format!("at most {share_bytes} bytes in uploads of one key that no job has used yet"),
         });
     }
     let total = open.iter().map(|(about, _)| about.bytes).sum::<u64>();
@@ -310,4 +319,26 @@ pub(super) fn read_headers(given: &HeaderMap) {
         assert_eq!(headers::text(&metadata), metadata.as_str(), "it is given back as it came");
     }
     let _ = piece::names_checksum(given);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_key_promises_all_the_bytes_of_others() {
+        let [one, two] = [Uuid::from_u128(1), Uuid::from_u128(2)].map(Some);
+        let about = |owner: Option<Uuid>, bytes: u64| AboutUpload { bytes, metadata: None, owner };
+        let begins = |open: &[(Option<Uuid>, u64)], owner, bytes| {
+            let open: Vec<_> = open.iter().map(|&(owner, bytes)| (about(owner, bytes), 0)).collect();
+            refuse_too_many(&open, &about(owner, bytes), 100, 1000).is_ok()
+        };
+        assert!(begins(&[(one, 200)], one, 50) && !begins(&[(one, 200)], one, 51));
+        assert!(begins(&[(one, 250)], two, 200), "the others' share is theirs");
+        assert!(begins(&[], one, 800), "one is let be as large as any");
+        assert!(
+            begins(&[(None, 900)], None, 100) && !begins(&[(None, 900)], None, 101),
+            "without keys there are no shares"
+        );
+    }
 }

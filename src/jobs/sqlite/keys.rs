@@ -188,6 +188,12 @@ impl Keys for SqliteQueue {
         })
     }
 
+    fn any_key(&self) -> QueueFuture<'_, bool> {
+        Box::pin(async {
+            Ok(sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM api_keys)").fetch_one(&self.readers).await?)
+        })
+    }
+
     fn owner_of(&self, job: Uuid) -> QueueFuture<'_, Option<Option<Uuid>>> {
         Box::pin(async move { rows::owner(&mut *self.readers.acquire().await?, job).await })
     }

@@ -30,7 +30,7 @@ impl SqliteQueue {
     pub(super) async fn reap(&self) -> Result<Reaped, QueueError> {
         self.settle().await?;
         let now = self.env.now().0;
-        let forgotten = now - self.policy.remember.as_millis() as i64;
+        let remember = self.policy.remember.as_millis() as i64;
         // Most looks find nothing: they must not take the writer's lock.
         let work: bool = sqlx::query_scalar(
             "SELECT EXISTS (SELECT 1 FROM jobs WHERE lease_until <= ?1) \
@@ -40,19 +40,24 @@ impl SqliteQueue {
              OR EXISTS (SELECT 1 FROM idempotency_keys WHERE created_at <= ?2)",
         )
         .bind(now)
-        .bind(forgotten)
+        .bind(now - remember)
         .fetch_one(&self.readers)
         .await?;
         if !work {
             return Ok(Reaped::default());
         }
         let mut tx = self.write().await?;
+        // Anew: a clock that was set back meanwhile has moved all times, and by the old one they would all have come.
+        let now = self.env.now().0;
         let late = self.fail_late(&mut tx, now).await?;
         let silent = sqlx::query(select_jobs!("WHERE j.lease_until <= ?")).bind(now).fetch_all(&mut *tx).await?;
         let silent = silent.iter().map(rows::job).collect::<Result<Vec<Job>, _>>()?;
         let reclaimed = self.take_back(&mut tx, &silent, "its worker was silent for longer than the lease").await?;
         let expired = self.expire(&mut tx, now).await?;
-        sqlx::query("DELETE FROM idempotency_keys WHERE created_at <= ?").bind(forgotten).execute(&mut *tx).await?;
+        sqlx::query("DELETE FROM idempotency_keys WHERE created_at <= ?")
+            .bind(now - remember)
+            .execute(&mut *tx)
+            .await?;
         let deleted: Vec<String> =
             sqlx::query_scalar("DELETE FROM jobs WHERE delete_requested_at IS NOT NULL AND owner IS NULL RETURNING id")
                 .fetch_all(&mut *tx)

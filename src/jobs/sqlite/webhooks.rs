@@ -15,7 +15,7 @@ use super::{SqliteQueue, rows};
 /// Part of every attempt.
 pub(super) const FORGET: &str = "DELETE FROM deliveries WHERE next_at IS NULL AND created_at < ?";
 
-/// Writes the messages about a job that has just come to its state. Webhooks of a revoked key hear nothing.
+/// Writes the messages about a job that has just come to its state. Webhooks of a key that is revoked or has expired hear nothing.
 pub(super) async fn tell(connection: &mut SqliteConnection, job: &Job) -> Result<(), QueueError> {
     if !TOLD.contains(&job.state) {
         return Ok(());
@@ -37,7 +37,8 @@ pub(super) async fn tell(connection: &mut SqliteConnection, job: &Job) -> Result
          SELECT 'msg_' || lower(hex(randomblob(16))), w.id, ?1, ?2, ?2 FROM webhooks w \
          WHERE w.disabled_at IS NULL AND w.key_id IS (SELECT key_id FROM jobs WHERE id = ?3) \
          AND EXISTS (SELECT 1 FROM json_each(w.events) WHERE value = ?4) \
-         AND NOT EXISTS (SELECT 1 FROM api_keys k WHERE k.id = w.key_id AND k.revoked_at IS NOT NULL)",
+         AND NOT EXISTS (SELECT 1 FROM api_keys k WHERE k.id = w.key_id \
+           AND (k.revoked_at IS NOT NULL OR k.expires_at <= ?2))",
     )
     .bind(payload.to_string())
     .bind(job.updated_at.0)
@@ -113,9 +114,11 @@ impl SqliteQueue {
                  SELECT d.id, w.key_id, d.payload, d.attempts, w.url, w.secret, d.next_at, d.rowid AS row, \
                  row_number() OVER (PARTITION BY d.webhook_id ORDER BY d.next_at, d.rowid) AS turn \
                  FROM deliveries d JOIN webhooks w ON w.id = d.webhook_id \
-                 WHERE d.next_at <= ? AND w.disabled_at IS NULL \
-               ) WHERE turn <= ? \
-             ) WHERE turn_of_key <= ? ORDER BY turn_of_key, next_at, row LIMIT ?",
+                 WHERE d.next_at <= ?1 AND w.disabled_at IS NULL \
+                 AND NOT EXISTS (SELECT 1 FROM api_keys k WHERE k.id = w.key_id \
+                   AND (k.revoked_at IS NOT NULL OR k.expires_at <= ?1)) \
+               ) WHERE turn <= ?2 \
+             ) WHERE turn_of_key <= ?3 ORDER BY turn_of_key, next_at, row LIMIT ?4",
         )
         .bind(self.env.now().0)
         .bind(places.of_webhook)

@@ -104,6 +104,21 @@ async fn a_worker_that_is_silent_or_never_starts_is_unavailable() {
 }
 
 #[tokio::test]
+async fn who_waits_for_a_picture_learns_at_once_that_the_server_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    let supervisor = supervise(folder.path(), "cat > /dev/null", |_| {});
+    let mut waits = supervisor.render(request());
+    while supervisor.trouble().is_some() {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    assert!(is_waiting(&mut waits).await);
+    supervisor.stop();
+    let answer =
+        tokio::time::timeout(Duration::from_secs(10), waits).await.expect("no waiting for a worker that never comes");
+    assert!(matches!(answer, Err(RenderError::Unavailable(_))), "{answer:?}");
+}
+
+#[tokio::test]
 async fn a_request_keeps_its_place_over_its_workers_death() {
     let folder = tempfile::tempdir().unwrap();
     let mark = folder.path().join("died");

@@ -209,6 +209,12 @@ async fn resumable_uploads_are_ones_own_and_count_towards_the_quota() {
     assert_eq!(ask(&one, Method::DELETE, path, 0).await.status, 204);
     assert_eq!(ask(&one, Method::POST, "/v1/uploads", 500).await.status, 201, "what is given up counts no more");
 
+    // Who may only write goes on after a cut, too.
+    let cam = bench.key("cam", &[Scope::Write], Quota::default()).await;
+    let begun = ask(&cam, Method::POST, "/v1/uploads", 100).await;
+    assert_eq!(ask(&cam, Method::HEAD, begun.header("location"), 0).await.status, 200);
+    cam.get("/v1/jobs").await.problem(403);
+
     // Nor can one key hold all the places: a quarter of the usual hundred. It has two.
     for _ in 2..25 {
         assert_eq!(ask(&one, Method::POST, "/v1/uploads", 0).await.status, 201);
@@ -265,6 +271,17 @@ async fn a_key_has_so_many_requests_a_minute() {
     assert_eq!(calm.get("/v1/jobs").await.status, 200);
     clock.advance(std::time::Duration::from_secs(20));
     assert_eq!((busy.get("/v1/jobs").await.status.as_u16(), busy.get("/v1/jobs").await.status.as_u16()), (200, 429));
+}
+
+#[tokio::test]
+async fn a_last_key_that_ends_does_not_open_the_server_again() {
+    let (bench, _) = Bench::guarded(Openness::Local, &[]).await;
+    assert_eq!(bench.get("/v1/jobs").await.status, 200, "a server on its own machine without keys");
+    let only = bench.key("only", &USER, Quota::default()).await;
+    bench.get("/v1/jobs").await.problem(401);
+    bench.keys.revoke_key("only").await.unwrap();
+    bench.get("/v1/jobs").await.problem(401);
+    only.get("/v1/jobs").await.problem(401);
 }
 
 #[tokio::test]

@@ -18,7 +18,7 @@ impl Serve {
         Self::start_with_log(data, arguments, Stdio::null())
     }
 
-    fn start_with_log(data: &Path, arguments: &[&str], log: Stdio) -> Serve {
+    pub fn start_with_log(data: &Path, arguments: &[&str], log: Stdio) -> Serve {
         let mut effigy = program::effigy();
         effigy.args(["serve", "--data-dir"]).arg(data).args(arguments).stderr(log);
         if !arguments.contains(&"--listen") {
