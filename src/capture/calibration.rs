@@ -14,13 +14,15 @@ const GUESSED_FIELD_OF_VIEW: f64 = 62.0 * std::f64::consts::PI / 180.0;
 
 const EXPECTED: &str = "JSON with width, height, fx, fy, cx, cy in pixels";
 
-/// A camera for images of this size of which nothing is known.
-pub(super) fn guess(width: u32, height: u32) -> Camera {
-    let focal = 0.5 * f64::from(width.max(height)) / (0.5 * GUESSED_FIELD_OF_VIEW).tan();
+/// A camera for images of this size of which nothing is known but the width of a pixel over its height.
+pub(super) fn guess(width: u32, height: u32, pixel_aspect: f64) -> Camera {
+    // In heights of a pixel.
+    let longer = (f64::from(width) * pixel_aspect).max(f64::from(height));
+    let focal = 0.5 * longer / (0.5 * GUESSED_FIELD_OF_VIEW).tan();
     Camera {
         width,
         height,
-        fx: focal,
+        fx: focal / pixel_aspect,
         fy: focal,
         cx: 0.5 * f64::from(width),
         cy: 0.5 * f64::from(height),
@@ -249,7 +251,7 @@ mod tests {
 
     #[test]
     fn the_guess_is_a_phone() {
-        let camera = guess(1080, 1920);
+        let camera = guess(1080, 1920, 1.0);
         assert!((camera.fx / 1920.0 - 0.832).abs() < 1e-3 && camera.fx == camera.fy);
         assert_eq!((camera.cx, camera.cy), (540.0, 960.0));
     }

@@ -62,6 +62,11 @@ impl ImageStream {
         limits::check_image_size(self.part, width, height)?;
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
         if !want {
+            // What was written half has its header, too. JPEG's decoder takes what is there.
+            if bytes.starts_with(PNG_START) && !bytes.windows(PNG_END.len()).rev().any(|end| end == PNG_END) {
+                let cut_off = std::io::Error::new(std::io::ErrorKind::UnexpectedEof, "it is cut off");
+                return Err(image::ImageError::IoError(cut_off).into());
+            }
             let (width, height) = if is_quarter_turn(orientation) { (height, width) } else { (width, height) };
             return Ok(Picture { width, height, data: Vec::new() });
         }
@@ -75,6 +80,10 @@ impl ImageStream {
         Ok(Picture { width, height, data })
     }
 }
+
+const PNG_START: &[u8] = b"\x89PNG";
+/// The last chunk, which has nothing in it, and its checksum.
+const PNG_END: &[u8] = b"IEND\xae\x42\x60\x82";
 
 /// Why a picture was refused.
 enum Reason {

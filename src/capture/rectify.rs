@@ -228,7 +228,7 @@ mod tests {
     use crate::capture::calibration::guess;
 
     fn lens() -> Camera {
-        Camera { distortion: [-0.2, 0.08, 0.002, -0.001, -0.01], ..guess(640, 480) }
+        Camera { distortion: [-0.2, 0.08, 0.002, -0.001, -0.01], ..guess(640, 480, 1.0) }
     }
 
     #[test]
@@ -245,7 +245,7 @@ mod tests {
     #[test]
     fn a_distorted_line_becomes_straight() {
         // A vertical edge at rectified x = 60.5 (of 160), drawn through the lens.
-        let camera = Camera { distortion: [-0.25, 0.05, 0.0, 0.0, 0.0], ..guess(160, 120) };
+        let camera = Camera { distortion: [-0.25, 0.05, 0.0, 0.0, 0.0], ..guess(160, 120, 1.0) };
         let rectify = Rectify::new(camera, 160).unwrap();
         let inside = |x: u32, y: u32| {
             let position = rectify.rectified_from_uploaded(f64::from(x) + 0.5, f64::from(y) + 0.5);
@@ -261,7 +261,7 @@ mod tests {
 
     #[test]
     fn scaling_down_averages_and_keeps_the_place() {
-        let rectify = Rectify::new(guess(64, 32), 16).unwrap();
+        let rectify = Rectify::new(guess(64, 32, 1.0), 16).unwrap();
         // Blocks of 4×4 pixels of one value; each becomes one pixel.
         let block = |i: u32| ((i % 64) / 4 * 13 + (i / 64) / 4 * 7) as u8;
         let data: Vec<u8> = (0..64 * 32).flat_map(|i| [block(i); 3]).collect();
@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn images_of_the_right_size_pass_unchanged() {
-        let rectify = Rectify::new(guess(8, 4), 100).unwrap();
+        let rectify = Rectify::new(guess(8, 4, 1.0), 100).unwrap();
         let data: Vec<u8> = (0..8 * 4 * 3).collect();
         let cut = rectify.rgb(&Picture { width: 8, height: 4, data }, Rect { x0: 6, y0: 1, x1: 8, y1: 3 });
         assert_eq!(cut, [42, 43, 44, 45, 46, 47, 66, 67, 68, 69, 70, 71]);
@@ -291,7 +291,7 @@ mod tests {
 
     #[test]
     fn a_lens_that_folds_the_image_is_refused() {
-        let camera = Camera { distortion: [-5.0, 0.0, 0.0, 0.0, 0.0], ..guess(640, 480) };
+        let camera = Camera { distortion: [-5.0, 0.0, 0.0, 0.0, 0.0], ..guess(640, 480, 1.0) };
         assert!(Rectify::new(camera, 320).unwrap_err().message.contains("folds"));
     }
 }

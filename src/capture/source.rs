@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use super::archive;
 use super::images::ImageStream;
-use super::video::{VideoFile, VideoStream};
+use super::video::{PixelShape, VideoFile, VideoStream};
 use super::{BadInput, CaptureError, Part, limits};
 
 /// What a picture holds.
@@ -30,6 +30,8 @@ pub(super) struct Source {
     part: Part,
     /// `None` for a zip of images.
     pub fps: Option<f64>,
+    /// `None` for a zip of images.
+    pub pixels: Option<PixelShape>,
     pub warnings: Vec<String>,
     pub count: usize,
 }
@@ -53,7 +55,14 @@ impl Source {
             if stream.ignored() > 0 {
                 warnings.push(format!("{part}: {} files of the zip are no images and were ignored", stream.ignored()));
             }
-            return Ok(Self { stream: Stream::Images(Box::new(stream)), part, fps: None, warnings, count: 0 });
+            return Ok(Self {
+                stream: Stream::Images(Box::new(stream)),
+                part,
+                fps: None,
+                pixels: None,
+                warnings,
+                count: 0,
+            });
         }
         let file = VideoFile::open(part, path)?;
         let stream = Stream::Video(Box::new(file.decode(pixels, fast, None, deadline)?));
@@ -79,7 +88,7 @@ impl Source {
 
     fn of(file: &VideoFile, part: Part, stream: Stream) -> Self {
         let warnings = file.warnings.iter().map(|w| format!("{part}: {w}")).collect();
-        Self { stream, part, fps: Some(file.fps), warnings, count: 0 }
+        Self { stream, part, fps: Some(file.fps), pixels: Some(file.pixels), warnings, count: 0 }
     }
 
     /// The next picture; with its pixels only if they are wanted.

@@ -60,7 +60,7 @@ mod tests {
 
     #[test]
     fn a_body_behind_the_camera_or_off_the_mask_is_found() {
-        let camera = crate::capture::calibration::guess(100, 80);
+        let camera = crate::capture::calibration::guess(100, 80, 1.0);
         let check = |place: [f32; 3], camera: Option<&Camera>| {
             let poses = KnownPoses { poses: vec![vec![0.0; 72]], trans: vec![place], is_pelvis: true, betas: None };
             let mut check = PoseCheck::default();

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use super::walk::{SmallParts, Still};
 use super::{CaptureInputs, CaptureOptions, GoOn};
+use crate::camera::Camera;
 use crate::capture::checks::MaskCheck;
 use crate::capture::keypoints::Point;
 use crate::capture::limits::LOAD_TIME;
@@ -47,7 +48,8 @@ impl Capture {
 
     /// Makes the focal length the guess that it is where no camera came with a clip; pixels that are not square stay so.
     pub fn forget_focal(&mut self) {
-        let factor = calibration::guess(self.camera.width, self.camera.height).fx / self.camera.fx;
+        let Camera { width, height, fx, fy, .. } = self.camera;
+        let factor = calibration::guess(width, height, fy / fx).fx / fx;
         (self.camera.fx, self.camera.fy) = (self.camera.fx * factor, self.camera.fy * factor);
         self.camera_estimated = true;
     }
@@ -65,12 +67,13 @@ impl Capture {
         let mut rectify = None;
         let mut frames = Vec::with_capacity(kept.len());
         let (mut vanished, mut room) = (Vec::new(), Room::default());
-        let camera = clip.camera.clone();
+        let (camera, pixels) = (clip.camera.clone(), clip.video.pixels);
         clip.walk(
             |index| kept.binary_search(&index).is_ok(),
             |size, still| {
                 if rectify.is_none() {
-                    let camera = camera.clone().unwrap_or_else(|| calibration::guess(size.0, size.1));
+                    let aspect = pixels.map_or(1.0, |pixels| pixels.aspect_at(size));
+                    let camera = camera.clone().unwrap_or_else(|| calibration::guess(size.0, size.1, aspect));
                     rectify = Some(Rectify::new(camera, max_side_px.max(16))?);
                 }
                 if let (Some(rectify), Some(bounds)) = (&rectify, still.bounds) {

@@ -155,14 +155,20 @@ impl Clip {
         let poses = self.poses.as_ref().map_or(frames, |poses| poses.poses.len());
         let counts = [(Part::Masks, masks), (Part::Keypoints, keypoints), (Part::Poses, poses)];
         let odd = counts.into_iter().find(|(_, count)| *count != frames);
-        // A damaged file is the better explanation of a count that differs.
+        // A damaged file is the better explanation of a count that differs, if it is its own.
+        let none_has_its =
+            counts.iter().all(|(part, count)| *count != frames || *part == Part::Poses && self.poses.is_none());
+        let is_odd = |part| match part {
+            Part::Video => none_has_its,
+            part => odd.is_some_and(|(odd, _)| odd == part),
+        };
         for (part, source) in [(Part::Video, &self.video), (Part::Masks, &self.masks)] {
             let Some(damage) = source.damage() else { continue };
-            if odd.is_some() {
+            if is_odd(part) {
                 let message = format!("the file is damaged, {} frames could be read: {damage}", source.count);
                 return Err(BadInput::new(part, message, "a whole video file"));
             }
-            self.warnings.push(format!("{part}: the file is damaged but has all its frames: {damage}"));
+            self.warnings.push(format!("{part}: FFmpeg complained, but read {} frames: {damage}", source.count));
         }
         match odd {
             None => Ok(()),

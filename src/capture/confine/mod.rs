@@ -38,10 +38,14 @@ impl Confinement {
         static FOUND: OnceLock<Confinement> = OnceLock::new();
         *FOUND.get_or_init(|| {
             let whole = fences::available();
-            let weaker = [whole, Confinement { files: false, ..whole }];
-            let found = weaker.into_iter().find(|confinement| confinement.lets_ffmpeg_run());
-            // Where it does not run without a fence either, the fences are not what keeps it from running.
-            let found = found.unwrap_or(if Confinement::NONE.lets_ffmpeg_run() { Confinement::NONE } else { whole });
+            let candidates = [whole, Confinement { files: false, ..whole }, Confinement::NONE];
+            // Where it does not run without a fence either, the fences are not what keeps it from running. Nor are they where it
+            // takes long.
+            let found = candidates.into_iter().find_map(|confinement| match confinement.lets_ffmpeg_run() {
+                Some(runs) => runs.then_some(confinement),
+                None => Some(whole),
+            });
+            let found = found.unwrap_or(whole);
             if !(found.files && found.calls) {
                 tracing::warn!(
                     files = found.files,
@@ -53,12 +57,14 @@ impl Confinement {
         })
     }
 
-    fn lets_ffmpeg_run(self) -> bool {
+    /// `None` where it did not end in time.
+    fn lets_ffmpeg_run(self) -> Option<bool> {
         let deadline = Instant::now() + Duration::from_secs(10);
         let started = Tool::start_confined("ffmpeg", &["-version"], None, deadline, self);
-        let Ok((tool, mut output)) = started else { return false };
+        let Ok((tool, mut output)) = started else { return Some(false) };
         let _ = std::io::copy(&mut output, &mut std::io::sink());
-        tool.finish(output).is_ok_and(|outcome| outcome.success)
+        let Ok(outcome) = tool.finish(output) else { return Some(false) };
+        (!outcome.timed_out).then_some(outcome.success)
     }
 
     /// Prepares the command's child, which may read the file `input`. What is done between fork and exec is made ready

@@ -66,12 +66,23 @@ fn a_truncated_file() {
 fn more_frames_or_pixels_than_are_allowed() {
     let clip = Clip::new();
     let made = |source: &str| {
-        video(&[&["-f", "lavfi", "-i", source, "-map", "1:v"], &["-c:v", "mjpeg", "-f", "matroska"][..]].concat())
+        video(&[&["-f", "lavfi", "-i", source, "-map", "1:v"], &["-c:v", "mjpeg", "-f", "mov"][..]].concat())
     };
     clip.video(&made("color=size=16x16:rate=25:duration=160"));
     assert_error(&clip, Part::Video, None, "there are more than 3600 frames");
     clip.video(&made("color=size=8192x4096:rate=25:duration=0.04"));
     assert_error(&clip, Part::Video, None, "the images are 8192×4096");
+}
+
+#[test]
+fn a_picture_that_was_written_half_is_found_before_the_job_is_taken() {
+    let clip = Clip::new();
+    let mut last = rgb_png(COUNT - 1);
+    last.truncate(last.len() - 40);
+    clip.video(
+        &zip((0..COUNT).map(|i| (format!("{i:02}.png"), if i + 1 < COUNT { rgb_png(i) } else { last.clone() }))),
+    );
+    assert_error(&clip, Part::Video, Some(COUNT as u32 - 1), "`11.png` cannot be read");
 }
 
 #[test]

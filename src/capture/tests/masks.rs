@@ -45,6 +45,15 @@ fn masks_as_the_transparency_of_a_video() {
 }
 
 #[test]
+fn alpha_that_a_codec_has_blurred_is_opaque() {
+    let nearly =
+        |i| -> Vec<u8> { mask(i).into_iter().enumerate().flat_map(|(k, v)| [v, v, v, 255 - (k % 3) as u8]).collect() };
+    let clip = Clip::new();
+    clip.masks(&encode((0..COUNT).map(nearly), "rgba", &["-c:v", "qtrle", "-pix_fmt", "argb", "-f", "mov"]));
+    assert_is_the_clip(&clip.load().unwrap(), 12);
+}
+
+#[test]
 fn masks_by_themselves_are_read_as_a_clips_are() {
     let mut clip = Clip::new();
     let cut_out = |i| -> Vec<u8> { mask(i).into_iter().flat_map(|a| [255 - a / 2, 255, 255, a]).collect() };

@@ -350,6 +350,65 @@ fn frames_at_uneven_times_count_once_each() {
     assert_is_the_clip(&clip.load().unwrap(), 12);
 }
 
+/// As phones and `ffmpeg -c copy` cut: frames before the cut are still in the file, and what they refer to is not.
+#[test]
+fn a_video_that_was_cut_without_encoding_it_anew_is_whole() {
+    let clip = Clip::new();
+    #[rustfmt::skip]
+    let open_gop = [
+        "-f", "lavfi", "-i", "testsrc=size=64x96:rate=25:duration=6", "-map", "1:v", "-pix_fmt", "yuv420p",
+        "-c:v", "libx264", "-g", "12", "-bf", "3", "-x264-params", "open-gop=1", "-f", "mp4",
+    ];
+    let whole = clip.add("whole.mp4", video(&open_gop)).unwrap();
+    let mut ffmpeg = Command::new("ffmpeg");
+    ffmpeg.args(["-v", "error", "-y", "-ss", "1.7", "-i"]).arg(whole).args(["-c", "copy", "-f", "mp4"]);
+    assert!(ffmpeg.arg(&clip.inputs.video).status().unwrap().success());
+    let mut ffprobe = Command::new("ffprobe");
+    ffprobe.args([
+        "-v",
+        "quiet",
+        "-count_frames",
+        "-show_entries",
+        "stream=nb_frames,nb_read_frames",
+        "-of",
+        "csv=p=0",
+    ]);
+    let told = String::from_utf8(ffprobe.arg(&clip.inputs.video).output().unwrap().stdout).unwrap();
+    let [stored, shown] = told.trim().split(',').map(|n| n.parse().unwrap()).collect::<Vec<usize>>()[..] else {
+        panic!("{told}")
+    };
+    assert!(shown < stored, "{shown} of {stored} frames are to be seen");
+    clip.masks(&zip((0..shown).map(|i| (format!("{i}.png"), mask_png(0)))));
+    let keypoints = |n: usize| clip.keypoints(keypoint_json(&vec![points(0); n]));
+    keypoints(shown);
+    clip.load().unwrap();
+    let found = inspect(&clip.inputs).unwrap();
+    assert_eq!(found.frames as usize, shown);
+    // Not each FFmpeg does.
+    let all =
+        Command::new("ffmpeg").args(["-v", "error", "-i"]).arg(&clip.inputs.video).args(["-f", "null", "-"]).output();
+    let complains = !all.unwrap().stderr.is_empty();
+    let told = found.warnings.iter().any(|w| w.starts_with("video: FFmpeg complained"));
+    assert_eq!(told, complains, "{:?}", found.warnings);
+    // What is one short is to blame, and not what FFmpeg complains of.
+    keypoints(shown - 1);
+    let error = clip.error();
+    assert_eq!(error.part, Part::Keypoints, "{error}");
+}
+
+#[test]
+fn a_guessed_camera_has_the_pixels_of_the_video() {
+    let clip = Clip::new();
+    clip.video(&video(&[&["-vf", "setsar=4/3"], &MP4[..]].concat()));
+    let capture = clip.load().unwrap();
+    let (fx, fy) = (capture.camera.fx, capture.camera.fy);
+    assert!(
+        (fy / fx - 4.0 / 3.0).abs() < 1e-9 && (fy - 96.0 / 2.0 / 31f64.to_radians().tan()).abs() < 1e-6,
+        "{fx} {fy}"
+    );
+    assert!(capture.warnings.iter().any(|w| w.contains("not square (4:3)")), "{:?}", capture.warnings);
+}
+
 #[test]
 fn a_rotation_tag_turns_the_images() {
     let clip = Clip::new();

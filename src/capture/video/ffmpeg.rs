@@ -16,8 +16,7 @@ pub(super) fn passthrough_option() -> Result<&'static str, CaptureError> {
     if let Some(option) = OPTION.get() {
         return Ok(option);
     }
-    let (text, _) = run("ffmpeg", &["-version"], None, 1 << 16)?;
-    let text = String::from_utf8_lossy(&text).into_owned();
+    let text = ask(&["-version"])?;
     Ok(OPTION.get_or_init(|| if is_before_5_1(&text) { "-vsync" } else { "-fps_mode" }))
 }
 
@@ -33,10 +32,19 @@ pub(super) fn maps_hdr() -> Result<bool, CaptureError> {
 
 /// Whether all `names` are in a list that FFmpeg prints.
 pub(super) fn knows(list: &str, names: &[&str]) -> Result<bool, CaptureError> {
-    let (text, _) = run("ffmpeg", &["-hide_banner", list], None, 1 << 20)?;
-    let text = String::from_utf8_lossy(&text);
+    let text = ask(&["-hide_banner", list])?;
     let known: Vec<&str> = text.lines().filter_map(|line| line.split_whitespace().nth(1)).collect();
     Ok(names.iter().all(|name| known.contains(name)))
+}
+
+/// What FFmpeg says of itself. An answer that did not come, on a machine that had no time or memory for it, says nothing.
+fn ask(arguments: &[&str]) -> Result<String, CaptureError> {
+    let (text, outcome) = run("ffmpeg", arguments, None, 1 << 20)?;
+    if !outcome.success {
+        let failed = std::io::Error::other(format!("`ffmpeg {}`{}", arguments.join(" "), outcome.because()));
+        return Err(CaptureError::internal("what this FFmpeg can do", failed));
+    }
+    Ok(String::from_utf8_lossy(&text).into_owned())
 }
 
 /// Builds without a version number (`N-109000-g…`) are taken as recent.

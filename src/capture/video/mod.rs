@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use self::ffmpeg::{knows, maps_hdr, passthrough_option};
+pub(super) use self::probe::PixelShape;
 use self::probe::{Alpha, Probe, READABLE, oddities};
 use self::stream::Layout;
 pub(super) use self::stream::{VideoStream, matte};
@@ -31,8 +32,9 @@ pub(super) struct VideoFile {
     path: PathBuf,
     url: String,
     pub fps: f64,
-    /// Number of frames that the container announces, or that follows from its duration.
+    /// Number of frames that the container announces.
     announced: Option<u32>,
+    pub pixels: PixelShape,
     /// Of a video that is brought from HDR to sRGB
     hdr: Option<Colours>,
     /// Of masks whose pictures have transparency.
@@ -51,9 +53,7 @@ impl VideoFile {
         };
         limits::check_image_size(part, stream.width, stream.height)?;
         let rate = stream.rate();
-        let duration = stream.duration.as_ref().or(probe.format.duration.as_ref()).and_then(|d| d.parse::<f64>().ok());
-        let counted = stream.nb_frames.as_ref().and_then(|n| n.parse().ok()).filter(|&n| n > 0);
-        let announced = counted.or_else(|| Some((duration? * rate?).round() as u32));
+        let announced = stream.announced();
         if announced.is_some_and(|n| n as usize > limits::FRAMES + limits::FRAMES / 10) {
             return Err(limits::too_many_frames(part).into());
         }
@@ -74,7 +74,8 @@ impl VideoFile {
             let message = format!("the video has transparency that this FFmpeg, without `{decoder}`, cannot read");
             return Err(BadInput::new(part, message, "a black and white video, or a zip of PNG images").into());
         }
-        Ok(Self { part, path, url, fps: rate.unwrap_or(30.0), announced, hdr, alpha, warnings })
+        let pixels = PixelShape { stored: (stream.width, stream.height), aspect: stream.pixel_aspect().unwrap_or(1.0) };
+        Ok(Self { part, path, url, fps: rate.unwrap_or(30.0), announced, pixels, hdr, alpha, warnings })
     }
 
     /// Whether decoding brings HDR to sRGB.

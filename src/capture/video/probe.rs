@@ -16,14 +16,6 @@ pub(super) const READABLE: &str = "a video that FFmpeg reads, or a zip of PNG or
 pub(super) struct Probe {
     #[serde(default)]
     pub streams: Vec<ProbeStream>,
-    #[serde(default)]
-    pub format: ProbeFormat,
-}
-
-#[derive(Default, serde::Deserialize)]
-#[serde(default)]
-pub(super) struct ProbeFormat {
-    pub duration: Option<String>,
 }
 
 #[derive(Default, serde::Deserialize)]
@@ -64,12 +56,15 @@ impl Probe {
             "-select_streams",
             "V",
             "-show_streams",
-            "-show_format",
             "-of",
             "json",
             url,
         ];
         let (json, outcome) = run("ffprobe", &arguments, Some(path), 4 << 20)?;
+        if outcome.timed_out {
+            let message = "reading its header took too long";
+            return Err(BadInput::new(part, message, READABLE).into());
+        }
         if !outcome.success {
             return Err(BadInput::new(part, format!("this is no readable video{}", outcome.because()), READABLE).into());
         }
@@ -79,6 +74,23 @@ impl Probe {
 }
 
 impl ProbeStream {
+    /// Frames that the header counts, less what an edit list hides: a clip that was cut without encoding it anew counts the frames
+    /// before the cut too, but its duration does not. A duration by itself tells no count, since the rate may be nominal and
+    /// timestamps may jump.
+    pub fn announced(&self) -> Option<u32> {
+        let counted: u32 = self.nb_frames.as_ref()?.parse().ok().filter(|&n| n > 0)?;
+        let duration: Option<f64> = self.duration.as_ref().and_then(|duration| duration.parse().ok());
+        let shown = duration.zip(self.rate()).map(|(duration, rate)| (duration * rate).floor() as u32);
+        Some(shown.map_or(counted, |shown| counted.min(shown)))
+    }
+
+    /// The width of a stored pixel over its height, where the header tells of one that is not square.
+    pub fn pixel_aspect(&self) -> Option<f64> {
+        let (width, height) = self.sample_aspect_ratio.split_once(':')?;
+        let aspect = width.parse::<f64>().ok()? / height.parse::<f64>().ok()?;
+        (aspect != 1.0 && PIXEL_ASPECTS.contains(&aspect)).then_some(aspect)
+    }
+
     /// Frames a second, where the container tells.
     pub fn rate(&self) -> Option<f64> {
         frame_rate(&self.avg_frame_rate).or(frame_rate(&self.r_frame_rate))
@@ -114,15 +126,36 @@ fn frame_rate(text: &str) -> Option<f64> {
     (rate > 0.0 && rate <= MOST_FRAMES_A_SECOND).then_some(rate)
 }
 
+/// Of stored pictures, which a rotation tag may turn.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::capture) struct PixelShape {
+    pub stored: (u32, u32),
+    /// The width of a stored pixel over its height
+    pub aspect: f64,
+}
+
+impl PixelShape {
+    /// The width of a pixel over its height, in decoded pictures of this size.
+    pub fn aspect_at(self, size: (u32, u32)) -> f64 {
+        if size == self.stored { self.aspect } else { 1.0 / self.aspect }
+    }
+}
+
+/// What a pixel may be like; beyond it the header is wrong.
+const PIXEL_ASPECTS: std::ops::RangeInclusive<f64> = 0.25..=4.0;
+
 /// What is unusual in a header, for the report; `rate` is what it tells of frames a second.
 pub(super) fn oddities(stream: &ProbeStream, rate: Option<f64>) -> Vec<String> {
     let mut warnings = Vec::new();
     if rate.is_none() {
         warnings.push("the file tells no frame rate: 30 a second assumed".to_owned());
     }
-    if !matches!(stream.sample_aspect_ratio.as_str(), "" | "1:1" | "0:1" | "N/A") {
+    if stream.pixel_aspect().is_some() {
         let ratio = &stream.sample_aspect_ratio;
-        warnings.push(format!("the pixels are not square ({ratio}): the stored pixels are used as they are"));
+        warnings.push(format!(
+            "the pixels are not square ({ratio}): masks, keypoints and a camera are those of the stored pixels, and a camera that is \
+             guessed has such pixels"
+        ));
     }
     warnings
 }

@@ -6,6 +6,7 @@ use crate::capture::child::{Outcome, Output, Tool};
 use crate::capture::limits;
 use crate::capture::source::Picture;
 use crate::capture::{BadInput, CaptureError, Part};
+use crate::mask::is_foreground;
 
 /// How the pictures of a stream are laid out.
 #[derive(Clone, Copy)]
@@ -42,9 +43,10 @@ impl Layout {
     }
 }
 
-/// The mask in luma and alpha: alpha where there is any transparency (a cut-out person), else luma.
+/// The mask in luma and alpha: alpha where it leaves out anything (a cut-out person), else luma. Alpha that is not quite opaque
+/// leaves out nothing: a lossy codec makes it of 255.
 pub(in crate::capture) fn matte(pixels: &[[u8; 2]]) -> Vec<u8> {
-    let channel = usize::from(pixels.iter().any(|pixel| pixel[1] < u8::MAX));
+    let channel = usize::from(pixels.iter().any(|pixel| !is_foreground(pixel[1])));
     pixels.iter().map(|pixel| pixel[channel]).collect()
 }
 
