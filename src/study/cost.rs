@@ -87,8 +87,13 @@ struct Fitted {
 }
 
 impl Fitted {
-    fn gb_hours(&self) -> Option<f64> {
-        Some(self.process_bytes? / 1e9 * self.train_secs / 3600.0)
+    /// The larger of what the process and the device had: a device without a memory of its own has the process's.
+    fn most_bytes(&self) -> f64 {
+        self.process_bytes.unwrap_or_default().max(self.device_bytes)
+    }
+
+    fn gb_hours(&self) -> f64 {
+        self.most_bytes() / 1e9 * self.train_secs / 3600.0
     }
 }
 
@@ -131,7 +136,7 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
     for (preset, fitted) in settings.presets.iter().zip(&fits) {
         let shot = Shot::new(context, fitted, novel, settings.picture_px)?;
         let secs = [shot.time(1)?, shot.time(3)?];
-        picture_secs.push(secs[0]);
+        picture_secs.push(secs);
         pictures.push(shrink(&shot.picture()?));
         let gb = |bytes: f64| bytes / 1e9;
         cost.row_with_gaps(
@@ -143,7 +148,7 @@ pub fn run(context: &Context<'_>, settings: &Settings) -> Result<Report> {
                 Some(secs[1]),
                 Some(gb(fitted.device_bytes)),
                 fitted.process_bytes.map(gb),
-                fitted.gb_hours(),
+                Some(fitted.gb_hours()),
             ],
         );
         quality.row(*preset, &[fitted.mask_iou, fitted.psnr_db]);
@@ -291,11 +296,11 @@ fn vertex_difference_mm(a: &AvatarModel, b: &AvatarModel) -> (f64, f64) {
     (sum / n.max(1) as f64, max)
 }
 
-fn cost_verdicts(fits: &[Fitted], picture_secs: &[f64]) -> Vec<Verdict> {
+fn cost_verdicts(fits: &[Fitted], picture_secs: &[[f64; 2]]) -> Vec<Verdict> {
     let most = |value: &dyn Fn(&Fitted) -> f64| fits.iter().map(value).fold(0.0, f64::max);
     let minutes = most(&|f| f.train_secs / 60.0);
-    let gigabytes = most(&|f| f.process_bytes.unwrap_or(f.device_bytes) / 1e9);
-    let picture = picture_secs.iter().copied().fold(0.0, f64::max);
+    let gigabytes = most(&|f| f.most_bytes() / 1e9);
+    let [one, nine] = [0, 1].map(|k| picture_secs.iter().map(|secs| secs[k]).fold(0.0, f64::max));
     let [_, paper_picture, _] = PAPER[THEIRS].1;
     vec![
         Verdict::new(
@@ -304,9 +309,11 @@ fn cost_verdicts(fits: &[Fitted], picture_secs: &[f64]) -> Vec<Verdict> {
             format!("at most {minutes:.1} min and {gigabytes:.2} GB"),
         ),
         Verdict::new(
-            format!("A picture of a new pose takes no longer than the paper's {paper_picture} s"),
-            picture <= paper_picture,
-            format!("{picture:.3} s"),
+            format!(
+                "A picture of a new pose, with 3 × 3 samples a pixel, takes no longer than the paper's {paper_picture} s"
+            ),
+            nine <= paper_picture,
+            format!("{nine:.3} s; with one sample {one:.3} s"),
         ),
     ]
 }

@@ -175,7 +175,7 @@ mod tests {
         assert!(rows[1].label.starts_with("joint") && rows[3].label.starts_with("joint"), "{rows:?}");
         for row in &rows[..4] {
             let values: Vec<f64> = row.values.iter().map(|v| v.unwrap()).collect();
-            assert!(values[0] > 8.0 && values[1] > 0.0 && values[3] > 0.0, "{}: {values:?}", row.label);
+            assert!(values[0] > 19.0 && values[1] > 0.0 && values[3] > 0.0, "{}: {values:?}", row.label);
         }
         assert_eq!(report.verdicts.len(), 6);
         assert_ne!(rows[0].values, rows[2].values, "the regularisers differ");

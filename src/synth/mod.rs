@@ -184,7 +184,7 @@ pub fn synthesise(
         let noise_px = options.keypoint_noise_px * options.size_px as f64 / 540.0;
         let keypoints = detect(body, &posed.vertices, &posed.joints, &scene.camera, noise_px, &mut rng);
         out.frame(&over_backdrop(&picture, &scene.camera), &picture.coverage(), pose, &posed.joints, keypoints)?;
-        if i % truth_step == 0 {
+        if options.truths > 0 && i % truth_step == 0 {
             out.surface(i, body, &posed.vertices)?;
         }
         if i == 0 {
