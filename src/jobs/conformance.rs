@@ -225,6 +225,26 @@ pub async fn a_killed_attempt_that_moved_on_is_not_counted(b: Bench) {
     assert!(matches!(b.queue.retry(id).await.unwrap(), Change::Done(job) if job.attempt == 0 && job.excused == 0));
 }
 
+/// As after an upgrade: what another program had saved is no measure for what this one saves.
+pub async fn a_killed_attempt_that_began_anew_and_moved_on_is_not_counted(b: Bench) {
+    let id = b.add().await;
+    let lease = b.claim().await.unwrap();
+    b.queue.saved(&lease, 0.9).await.unwrap();
+    b.queue.give_back(&lease).await.unwrap();
+    for attempt in 1..=3 {
+        let lease = b.claim().await.unwrap();
+        if attempt == 1 {
+            assert_eq!(b.queue.begun_anew(&lease).await.unwrap(), Standing::Held);
+        }
+        b.queue.saved(&lease, 0.2 * f64::from(attempt)).await.unwrap();
+        b.queue.release_owner("worker-1").await.unwrap();
+        assert_eq!((b.job(id).await.attempt, b.job(id).await.excused), (attempt, attempt));
+        b.clock.advance(Duration::from_secs(600));
+    }
+    let stale = Lease { job: id, epoch: 1 };
+    assert_eq!(b.queue.begun_anew(&stale).await.unwrap(), Standing::Lost);
+}
+
 pub async fn an_attempt_that_fails_by_itself_is_counted_wherever_it_got(b: Bench) {
     let id = b.add().await;
     for attempt in 1..=3 {
@@ -562,6 +582,7 @@ macro_rules! suite {
             heartbeats_and_progress_keep_the_lease
             a_job_that_kills_its_worker_fails_after_its_attempts
             a_killed_attempt_that_moved_on_is_not_counted
+            a_killed_attempt_that_began_anew_and_moved_on_is_not_counted
             an_attempt_that_fails_by_itself_is_counted_wherever_it_got
             a_job_that_passes_its_deadline_fails
             a_higher_priority_goes_first

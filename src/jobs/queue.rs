@@ -235,6 +235,8 @@ pub trait Queue: Send + Sync + 'static {
     fn heartbeat<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing>;
     /// Writes progress and renews the lease.
     fn report<'a>(&'a self, lease: &'a Lease, report: &'a ProgressReport) -> QueueFuture<'a, Standing>;
+    /// Tells that the checkpoint of earlier attempts is of no use to this one: what it held counts as progress no more.
+    fn begun_anew<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing>;
     /// Tells that a checkpoint was written which holds so much of the whole job, 0 to 1.
     fn saved<'a>(&'a self, lease: &'a Lease, progress: f64) -> QueueFuture<'a, Standing>;
     /// Tells that there is a new picture of the avatar, by the name of its file, made at this point of the fit.

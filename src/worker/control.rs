@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
@@ -15,6 +16,8 @@ pub struct Control {
     stop: Mutex<Option<StopReason>>,
     /// The fit's last sign of life.
     alive: Mutex<Instant>,
+    /// The fit had a checkpoint of no use, until that is told on.
+    begun_anew: AtomicBool,
     /// How far the newest checkpoint has come, until it is told on.
     saved: Mutex<Option<f32>>,
     /// The newest picture with its number, until it is passed on.
@@ -32,6 +35,7 @@ impl Default for Control {
         Control {
             stop: Mutex::default(),
             alive: Mutex::new(Instant::now()),
+            begun_anew: AtomicBool::default(),
             saved: Mutex::default(),
             preview: Mutex::default(),
             progress: watch::Sender::default(),
@@ -51,6 +55,11 @@ impl Control {
     /// The fit, or whoever has its device meanwhile, shows a sign of life.
     pub fn mark_alive(&self) {
         *self.alive.lock().unwrap() = Instant::now();
+    }
+
+    /// Whether the fit has begun anew since the last call.
+    pub fn take_begun_anew(&self) -> bool {
+        self.begun_anew.swap(false, Ordering::Relaxed)
     }
 
     /// How far the checkpoint has come, where one was written since the last call.
@@ -104,6 +113,10 @@ impl Control {
 
     pub fn add_stage_secs(&self, stage: &'static str, secs: f64) {
         *self.stage_secs.lock().unwrap().entry(stage).or_default() += secs;
+    }
+
+    pub fn set_begun_anew(&self) {
+        self.begun_anew.store(true, Ordering::Relaxed);
     }
 
     /// How far the newest checkpoint has come.

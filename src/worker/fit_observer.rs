@@ -49,6 +49,10 @@ impl Observer for FitObserver<'_> {
         self.control.set_progress(progress.clone());
     }
 
+    fn begins_anew(&mut self) {
+        self.control.set_begun_anew();
+    }
+
     fn saved(&mut self, progress: f32) {
         self.control.set_saved(progress);
     }

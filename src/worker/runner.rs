@@ -181,6 +181,12 @@ impl Runner {
     }
 
     async fn pass_saved(&self, lease: &Lease, control: &Control) {
+        if control.take_begun_anew() {
+            tracing::info!(job = %lease.job, "the fit begins anew: its checkpoint is of another program, body or clip");
+            if let Err(error) = self.queue.begun_anew(lease).await {
+                tracing::warn!(job = %lease.job, %error, "a beginning goes untold");
+            }
+        }
         if let Some(progress) = control.take_saved()
             && let Err(error) = self.queue.saved(lease, f64::from(progress)).await
         {

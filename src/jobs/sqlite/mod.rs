@@ -163,6 +163,10 @@ impl Queue for SqliteQueue {
         Box::pin(self.report(lease, report))
     }
 
+    fn begun_anew<'a>(&'a self, lease: &'a Lease) -> QueueFuture<'a, Standing> {
+        Box::pin(self.begun_anew(lease))
+    }
+
     fn saved<'a>(&'a self, lease: &'a Lease, progress: f64) -> QueueFuture<'a, Standing> {
         Box::pin(self.saved(lease, progress))
     }

@@ -115,6 +115,17 @@ impl SqliteQueue {
         Ok(held)
     }
 
+    pub(super) async fn begun_anew(&self, lease: &Lease) -> Result<Standing, QueueError> {
+        let mut tx = self.write().await?;
+        let update = sqlx::query(
+            "UPDATE jobs SET saved = 0, saved_at_claim = 0 \
+             WHERE id = ?1 AND epoch = ?2 AND owner IS NOT NULL RETURNING state",
+        );
+        let held = held(&mut tx, update, lease, |query| query).await?;
+        tx.commit().await?;
+        Ok(held)
+    }
+
     pub(super) async fn saved(&self, lease: &Lease, progress: f64) -> Result<Standing, QueueError> {
         let mut tx = self.write().await?;
         let update = sqlx::query(
