@@ -187,9 +187,14 @@ async fn database(data: &Path, config: &Config) -> Vec<Check> {
     let keys =
         format!("make a key (effigy keys create NAME), listen on 127.0.0.1 instead of {}, or set auth", config.listen);
     let wide = config.auth == Auth::Auto && !config.listen.ip().is_loopback();
-    let access = |any: bool| match (wide, any) {
-        (true, false) => Check::failed("access", "others can reach the server and there is no key", keys),
-        (_, true) => Check::ok("access", "callers need a key"),
+    let access = |living: bool, any: bool| match (wide, living, any) {
+        (true, false, _) => Check::failed("access", "others can reach the server and there is no key", keys),
+        (_, true, _) => Check::ok("access", "callers need a key"),
+        (_, false, true) => Check::warning(
+            "access",
+            "callers need a key, and all keys are revoked or have expired",
+            "make one (effigy keys create NAME)",
+        ),
         _ => Check::ok("access", format!("auth = {:?}, no keys, {}", config.auth.text(), config.listen)),
     };
     let restore = "stop the service, move effigy.db* and jobs away, and restore a backup (docs/operating.md)";
@@ -200,7 +205,7 @@ async fn database(data: &Path, config: &Config) -> Vec<Check> {
             0 => Check::ok("database", "none yet; the first start makes it"),
             _ => Check::failed("database", format!("it is missing, and there are files of {jobs} jobs"), restore),
         };
-        return vec![found, access(false)];
+        return vec![found, access(false, false)];
     }
     match examine(&path).await {
         Err(error) => return vec![Check::failed("database", error.to_string(), restore)],
@@ -220,8 +225,9 @@ async fn database(data: &Path, config: &Config) -> Vec<Check> {
     match open_queue(&store, &Env::system(), policy(config)).await {
         Err(error) => vec![Check::failed("database", format!("{error:#}"), restore)],
         Ok(queue) => {
-            let any = queue.any_living_key().await.unwrap_or(false);
-            vec![Check::ok("database", format!("{}, whole", path.display())), access(any)]
+            let living = queue.any_living_key().await.unwrap_or(false);
+            let any = queue.any_key().await.unwrap_or(false);
+            vec![Check::ok("database", format!("{}, whole", path.display())), access(living, any)]
         }
     }
 }

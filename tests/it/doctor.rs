@@ -87,6 +87,12 @@ fn a_machine_that_has_all_is_well() {
         command.arg("--listen=0.0.0.0:8080");
     });
     assert!(!ok && check(&report, "access")["mend"].as_str().unwrap().contains("effigy keys create"));
+    for arguments in [["keys", "create", "lost"], ["keys", "revoke", "lost"]] {
+        let mut keys = crate::program::effigy();
+        assert!(keys.args(arguments).arg("--data-dir").arg(data.path()).output().unwrap().status.success());
+    }
+    let (_, report) = doctor(data.path(), |_| {});
+    assert_eq!(check(&report, "access")["state"], "warning", "nobody gets in: {report}");
 }
 
 #[test]
