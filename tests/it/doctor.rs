@@ -96,6 +96,23 @@ fn a_machine_that_has_all_is_well() {
 }
 
 #[test]
+fn bodies_are_looked_for_where_the_doctor_looks() {
+    let data = tempfile::tempdir().unwrap();
+    let (_, report) = doctor(data.path(), |_| {});
+    let option = format!("--data-dir '{}'", data.path().display());
+    assert!(check(&report, "body")["mend"].as_str().unwrap().contains(&option), "{report}");
+    let body = || {
+        let mut body = crate::program::effigy();
+        body.args(["body", "check", "default", "--data-dir"]).arg(data.path()).output().unwrap()
+    };
+    assert!(!body().status.success());
+    std::fs::create_dir_all(data.path().join("bodies")).unwrap();
+    effigy::body::Body::test_body().save(&data.path().join("bodies/default.body.npz")).unwrap();
+    let said = body();
+    assert!(said.status.success() && String::from_utf8_lossy(&said.stdout).contains("valid"), "{said:?}");
+}
+
+#[test]
 fn a_device_that_is_not_there_is_told_with_those_that_are() {
     let data = tempfile::tempdir().unwrap();
     let (ok, report) = doctor(data.path(), |command| {

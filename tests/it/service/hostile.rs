@@ -76,6 +76,34 @@ fn absurd_hdf5() -> Vec<u8> {
     hdf5
 }
 
+/// For an answer to a bomb.
+const QUICK: Duration = Duration::from_secs(2);
+
+/// How long the server took to refuse the form. The machine's other work must not decide: the best of three tries counts, unless an
+/// earlier one is quick.
+fn quickest_refusal(
+    serve: &Serve,
+    client: &reqwest::blocking::Client,
+    form: &[u8],
+    check: impl Fn(&Value),
+) -> Duration {
+    let mut best = Duration::MAX;
+    for _ in 0..3 {
+        let begun = Instant::now();
+        let post = client.post(format!("{}/v1/jobs", serve.url)).header("content-type", Form::TYPE);
+        let answer = post.body(form.to_vec()).send().unwrap();
+        best = best.min(begun.elapsed());
+        let status = answer.status().as_u16();
+        let problem: Value = answer.json().unwrap();
+        assert_eq!(problem["status"], status, "{problem}");
+        check(&problem);
+        if best < QUICK {
+            break;
+        }
+    }
+    best
+}
+
 #[test]
 fn bombs_are_refused_quickly_and_in_little_memory() {
     let data = tempfile::tempdir().unwrap();
@@ -101,24 +129,13 @@ fn bombs_are_refused_quickly_and_in_little_memory() {
     for (part, content) in cases {
         let bytes = content.len();
         let body = Form::clip().with(part, content).body();
-        // The machine's other work must not decide: the best of three counts.
-        let mut best = Duration::MAX;
-        for _ in 0..3 {
-            let begun = Instant::now();
-            let post = client.post(format!("{}/v1/jobs", serve.url)).header("content-type", Form::TYPE);
-            let answer = post.body(body.clone()).send().unwrap();
-            best = best.min(begun.elapsed());
-            let status = answer.status().as_u16();
-            let problem: Value = answer.json().unwrap();
-            assert!(matches!(status, 400 | 413 | 422), "{problem}");
+        let best = quickest_refusal(&serve, &client, &body, |problem| {
+            assert!(matches!(problem["status"].as_u64(), Some(400 | 413 | 422)), "{problem}");
             assert!(problem["part"].as_str().unwrap().starts_with(part), "{problem}");
-            if best < Duration::from_secs(2) {
-                break;
-            }
-        }
+        });
         let peak = serve.peak_bytes() >> 20;
         eprintln!("{part}, {bytes} bytes: refused in {best:.2?}, peak {peak} MB");
-        assert!(best < Duration::from_secs(2), "{part}: {best:?}");
+        assert!(best < QUICK, "{part}: {best:?}");
         assert!(peak < 512, "{part}: {peak} MB");
     }
     assert_eq!(std::fs::read_dir(data.path().join("tmp")).unwrap().count(), 0);
@@ -190,20 +207,13 @@ fn a_video_of_a_million_frames_is_refused_quickly() {
     let data = tempfile::tempdir().unwrap();
     let (serve, client) = start(data.path());
     let body = Form::clip().with("video", million_frames()).body();
-    // The machine's other work must not decide: the best of three counts.
-    let mut best = Duration::MAX;
-    for _ in 0..3 {
-        let begun = Instant::now();
-        let post = client.post(format!("{}/v1/jobs", serve.url)).header("content-type", Form::TYPE);
-        let answer = post.body(body.clone()).send().unwrap();
-        best = best.min(begun.elapsed());
-        let problem: Value = answer.json().unwrap();
+    let best = quickest_refusal(&serve, &client, &body, |problem| {
         assert_eq!((&problem["status"], &problem["part"]), (&json!(422), &json!("video")), "{problem}");
         assert!(problem["detail"].as_str().unwrap().contains("more than 3600 frames"), "{problem}");
-    }
+    });
     let peak = serve.peak_bytes() >> 20;
     eprintln!("a million frames: refused in {best:.2?}, server at most {peak} MB");
-    assert!(best < Duration::from_secs(2) && peak < 512, "{best:?}, {peak} MB");
+    assert!(best < QUICK && peak < 512, "{best:?}, {peak} MB");
 }
 
 #[test]
