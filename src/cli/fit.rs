@@ -19,6 +19,7 @@ pub struct Args {
     /// A folder with video.*, masks.*, keypoints.* and, where known, camera.json. The options below name single files
     /// instead.
     clip: Option<PathBuf>,
+    /// As it was filmed, or a zip of its pictures.
     #[arg(long)]
     video: Option<PathBuf>,
     /// A video, or a zip of PNG or JPEG.
@@ -27,6 +28,7 @@ pub struct Args {
     /// JSON, or a zip of OpenPose's JSON a frame.
     #[arg(long)]
     keypoints: Option<PathBuf>,
+    /// JSON with `fx`, `fy`, `cx`, `cy`, `width` and `height`, pixels; guessed and fitted without.
     #[arg(long)]
     camera: Option<PathBuf>,
     /// An npz with `poses` and `trans` or `pelvis`. Never taken from the folder: it is the answer to a question.
@@ -35,13 +37,16 @@ pub struct Args {
     /// draft, standard, paper or silhouette-only.
     #[arg(long, default_value = "standard", value_parser = preset)]
     preset: Preset,
+    /// Frames that are kept, spread over the clip; the preset says how many otherwise.
     #[arg(long)]
     max_frames: Option<u32>,
+    /// The longer side that pictures are made smaller to before the shape is fitted; the preset says otherwise.
     #[arg(long)]
     max_side_px: Option<u32>,
     /// A body of the data folder.
     #[arg(long, default_value = "default")]
     body: String,
+    /// The same seed, files and machine give the same avatar.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// The person's height, metres: one camera cannot tell it.

@@ -7,6 +7,7 @@ mod doctor;
 mod fit;
 mod fuzz;
 mod import_rule;
+mod local;
 mod program;
 mod robustness;
 mod service;
