@@ -5,9 +5,9 @@ cd "$(dirname "$0")/.."
 
 cargo fmt --check
 cargo clippy --locked --all-targets -- -D warnings
-# The Khronos glTF validator, which the tests run on an exported avatar, and the web's own client of resumable uploads,
-# which they run against a server.
-for tool in gltf-validate tus-client; do
+# The Khronos glTF validator, which the tests run on an exported avatar, the web's own client of resumable uploads, which they
+# run against a server, and a document without a browser, in which they run the page's script.
+for tool in gltf-validate tus-client page; do
     npm ci --prefix "tools/$tool" --no-audit --no-fund --prefer-offline --loglevel=error && continue
     [ -z "${CI+set}" ] || exit 1
     # The tests look for this folder, and half an installation is none.

@@ -19,6 +19,7 @@ pub mod fuzz_entries;
 pub mod gpu;
 pub mod http;
 pub mod jobs;
+pub mod json;
 pub mod keypoints;
 pub mod mask;
 pub mod math;

@@ -16,13 +16,16 @@ class Problem extends Error {
 
 function headers(more = {}) {
   const key = $("key").value.trim();
+  // A browser sends no other header, and says no more than that it could not.
+  if (!/^[\x21-\x7e]*$/.test(key)) throw new Problem({ title: "This is no API key", expected: "letters without accents, digits and signs, no blanks" });
   return key ? { ...more, authorization: `Bearer ${key}` } : more;
 }
 
 async function call(path, options = {}) {
+  const sent = headers(options.headers);
   let response;
   try {
-    response = await fetch(path, { ...options, headers: headers(options.headers) });
+    response = await fetch(path, { ...options, headers: sent });
   } catch {
     throw new Problem({});
   }
@@ -33,8 +36,8 @@ async function call(path, options = {}) {
   throw new Problem({ ...problem, status }, response.headers.get("retry-after"));
 }
 
-const post = (path, body) =>
-  call(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
+const post = (path, body, signal) =>
+  call(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body), signal });
 
 const pause = (problem) => new Promise((resolve) => setTimeout(resolve, 1000 * (problem.waitSecs ?? 2)));
 
@@ -119,13 +122,18 @@ $("upload").addEventListener("submit", async (event) => {
 
 const ENDED = ["succeeded", "failed", "canceled", "expired"];
 const HOPELESS = [401, 403, 404, 410]; // who asks again hears the same
-let watched = null; // ends the stream of the job that was shown before
+let watched = null; // the job that is shown: its id, and what ends all that is asked for it
+
+function leave() {
+  watched?.ended.abort();
+  watched = null;
+  for (const hidden of ["job", "result", "preview", "cancel", "retry", "job-problem", "wish-problem"]) $(hidden).hidden = true;
+}
 
 async function watch(id) {
-  watched?.abort();
-  watched = new AbortController();
-  const { signal } = watched;
-  for (const hidden of ["result", "preview", "cancel", "retry", "job-problem"]) $(hidden).hidden = true;
+  leave();
+  watched = { id, ended: new AbortController() };
+  const { signal } = watched.ended;
   for (const emptied of ["state", "stage", "eta", "losses", "warnings"]) $(emptied).textContent = "";
   $("progress").value = 0;
   $("job").hidden = false;
@@ -139,7 +147,8 @@ async function watch(id) {
       if (job.state !== listed) list();
       listed = job.state;
       if (ENDED.includes(job.state)) return;
-      await follow(id, seen, signal);
+      if (job.state === "queued") keepPlace(id, signal);
+      await follow(id, seen, job.updated_at, signal);
     } catch (problem) {
       if (signal.aborted) return;
       show(problem, $("job-problem"));
@@ -149,10 +158,35 @@ async function watch(id) {
   }
 }
 
+let kept = null; // the job whose place is asked for
+
+// The place in the queue is no event of the job's: others move it.
+async function keepPlace(id, signal) {
+  if (kept === signal) return;
+  kept = signal;
+  const waits = () => !signal.aborted && $("state").textContent === "queued";
+  let wait = {};
+  while (waits()) {
+    await pause(wait);
+    if (!waits()) break;
+    try {
+      const response = await call(`v1/jobs/${id}`, { signal });
+      wait = { waitSecs: Number(response.headers.get("retry-after")) || 2 };
+      const job = await response.json();
+      if (job.state === "queued" && waits()) draw(job);
+    } catch (problem) {
+      wait = problem; // whoever follows the events tells what is wrong
+    }
+  }
+  if (kept === signal) kept = null;
+}
+
 // Reads the event stream until it ends; fetch instead of EventSource, which cannot send a key. A stream that breaks off throws:
-// the next one goes on after the last event of this one.
-async function follow(id, seen, signal) {
+// the next one goes on after the last event of this one. The first begins with all that has been: what the job itself told
+// already, as of `known`, is not drawn again.
+async function follow(id, seen, known, signal) {
   const headers = seen.last ? { "last-event-id": seen.last } : {};
+  const drawn = seen.last ? "" : known;
   const response = await call(`v1/jobs/${id}/events`, { headers, signal });
   if (response.status === 204) return;
   const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
@@ -168,6 +202,7 @@ async function follow(id, seen, signal) {
       if (!field("data")) continue;
       seen.last = field("id") ?? seen.last;
       const data = JSON.parse(field("data"));
+      if (data.at <= drawn) continue;
       if (field("event") === "preview") {
         preview(data.url, signal);
         continue;
@@ -182,7 +217,10 @@ async function follow(id, seen, signal) {
 
 function draw(job) {
   // Whatever is written there is read aloud, also where it stood before.
-  if ($("state").textContent !== job.state) $("state").textContent = job.state;
+  if ($("state").textContent !== job.state) {
+    $("state").textContent = job.state;
+    show(null, $("wish-problem"));
+  }
   const stage = job.stage && !ENDED.includes(job.state);
   $("stage").textContent = stage ? `${job.stage} ${job.step} of ${job.steps}` : "";
   if (job.queue_position) $("stage").textContent = `number ${job.queue_position} in the queue`;
@@ -193,7 +231,7 @@ function draw(job) {
   if (job.clip) $("warnings").replaceChildren(...job.clip.warnings.map((warning) => element("li", warning)));
   $("cancel").hidden = !["queued", "running"].includes(job.state);
   $("retry").hidden = !["failed", "canceled"].includes(job.state);
-  if (job.preview_url) preview(job.preview_url, watched.signal);
+  if (job.preview_url) preview(job.preview_url, watched.ended.signal);
   show(job.error ? new Problem({ ...job.error, title: `The fit failed (${job.error.type})` }) : null, $("job-problem"));
   if (job.avatar) result(job.avatar);
 }
@@ -224,11 +262,13 @@ async function preview(url, signal) {
 }
 
 const wish = (what) => async () => {
+  const { id, ended } = watched;
   try {
-    await call(`v1/jobs/${location.hash.slice(1)}/${what}`, { method: "POST" });
-    watch(location.hash.slice(1));
+    await call(`v1/jobs/${id}/${what}`, { method: "POST" });
+    if (!ended.signal.aborted) watch(id);
   } catch (problem) {
-    show(problem, $("job-problem"));
+    // In a box of its own: the next event wipes what was wrong with the last look at the job.
+    if (!ended.signal.aborted) show(problem, $("wish-problem"));
   }
 };
 $("cancel").addEventListener("click", wish("cancel"));
@@ -237,13 +277,14 @@ $("retry").addEventListener("click", wish("retry"));
 // ---- the avatar ----------------------------------------------------------------------------------------------------
 
 async function result(id) {
-  const { signal } = watched;
+  const { signal } = watched.ended;
   try {
     const avatar = await (await patiently(() => call(`v1/avatars/${id}`, { signal }))).json();
-    $("result").hidden = false;
     // Links, because a download cannot send a key.
-    const askForLinks = () => post(`v1/avatars/${id}/links`, { expires_in_secs: 86400 });
+    const askForLinks = () => post(`v1/avatars/${id}/links`, { expires_in_secs: 86400 }, signal);
     const { links } = await (await patiently(askForLinks)).json();
+    if (signal.aborted) return;
+    $("result").hidden = false;
     const files = Object.entries(links).map(([name, href]) => {
       const item = element("li");
       const page = name.endsWith(".html") ? { target: "_blank", rel: "noopener" } : { download: name };
@@ -315,7 +356,7 @@ async function turntable(id, signal) {
   const order = [...Array(VIEWS).keys()].sort((a, b) => rank(a) - rank(b) || a - b);
   for (const [drawn, view] of order.entries()) {
     const pose = standing((2 * Math.PI * view) / VIEWS);
-    const picture = await patiently(() => post(`v1/avatars/${id}/renders`, { pose, pelvis: [0, 0, 3.2], camera }));
+    const picture = await patiently(() => post(`v1/avatars/${id}/renders`, { pose, pelvis: [0, 0, 3.2], camera }, signal));
     if (signal.aborted) return;
     pictures[view] = URL.createObjectURL(await picture.blob());
     $("drawn").textContent = drawn + 1 < VIEWS ? `${drawn + 1} of ${VIEWS} sides drawn` : "";
@@ -367,7 +408,7 @@ async function list() {
   }
 }
 
-addEventListener("hashchange", () => { if (location.hash) watch(location.hash.slice(1)); });
+addEventListener("hashchange", () => { location.hash ? watch(location.hash.slice(1)) : leave(); });
 $("key").value = sessionStorage.getItem("effigy-key") ?? "";
 $("key-field").hidden = !$("key").value;
 $("key").addEventListener("change", () => {

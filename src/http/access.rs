@@ -225,7 +225,8 @@ async fn check_owner(app: &App, caller: &Caller, route: &str, parts: &mut Parts)
         _ => return Ok(()),
     };
     let (Some(only), Some(keys)) = (caller.sees_only(), app.access.keys()) else { return Ok(()) };
-    let parameters = RawPathParams::from_request_parts(parts, app).await.map_err(ApiError::internal)?;
+    let parameters = RawPathParams::from_request_parts(parts, app).await;
+    let parameters = parameters.map_err(|_| ApiError::UnknownPath(parts.uri.path().into()))?;
     let id = parameters.iter().find(|(name, _)| *name == "id").map_or("", |(_, value)| value);
     let Ok(job) = id.parse::<Uuid>() else { return Err(unknown(what, id)) };
     match keys.owner_of(job).await? {

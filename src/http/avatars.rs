@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use uuid::Uuid;
 
 use super::App;
 use super::error::{ApiError, Problem};
-use super::extract::{ApiQuery, parse_id, unknown};
+use super::extract::{ApiPath, ApiQuery, parse_id, unknown};
 use super::files::published;
 use super::renders::answer;
 use crate::camera::Camera;
@@ -54,7 +54,7 @@ pub(super) struct AvatarView {
         (status = 404, description = "No such avatar", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn get(State(app): State<App>, Path(id): Path<String>) -> Result<Json<AvatarView>, ApiError> {
+pub(super) async fn get(State(app): State<App>, ApiPath(id): ApiPath<String>) -> Result<Json<AvatarView>, ApiError> {
     let avatar = find(&app, &id).await?;
     let url = |name: &str| format!("/v1/avatars/{}/{name}", avatar.id);
     Ok(Json(AvatarView {
@@ -101,7 +101,7 @@ pub(super) struct MeshQuery {
 )]
 pub(super) async fn mesh(
     State(app): State<App>,
-    Path(id): Path<String>,
+    ApiPath(id): ApiPath<String>,
     ApiQuery(query): ApiQuery<MeshQuery>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {

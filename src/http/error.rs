@@ -113,6 +113,13 @@ impl ApiError {
         ApiError::Internal(error.into())
     }
 
+    /// A key's quota of bytes, where some are left but too few.
+    pub fn quota_left(limit: u64, left: u64) -> Self {
+        let quota = QueueError::Quota { what: "bytes kept", limit };
+        let detail = format!("{quota}, of which {left} are left");
+        ApiError::TooMany { slug: "quota-exceeded", detail, retry_after_secs: QUOTA_RETRY_SECS }
+    }
+
     fn kind(&self) -> (StatusCode, &'static str, &'static str) {
         match self {
             ApiError::UnknownPath(_) => (StatusCode::NOT_FOUND, "unknown-path", "There is nothing here"),

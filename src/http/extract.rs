@@ -2,7 +2,7 @@
 
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
-use axum::extract::{FromRequest, FromRequestParts, Query, Request};
+use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
 use axum::http::header;
 use axum::http::request::Parts;
 use axum::response::IntoResponse;
@@ -11,6 +11,7 @@ use uuid::Uuid;
 
 use super::error::ApiError;
 use super::pace::Lateness;
+use crate::json;
 
 /// A JSON body; a mistake in it is told with its field.
 pub struct ApiJson<T>(pub T);
@@ -29,14 +30,11 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for ApiJson<T> {
             true => ApiError::TooSlow,
             false => body_error(rejection),
         })?;
-        let mut reader = serde_json::Deserializer::from_slice(&body);
-        let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
-            let path = error.path().to_string();
-            let message = error.into_inner().to_string();
-            let expected = message.split_once("expected ").map(|(_, rest)| rest.to_string());
-            ApiError::Malformed { detail: message, part: (path != ".").then_some(path), expected }
+        let value = json::object(&body).map_err(|error| ApiError::Malformed {
+            detail: error.message,
+            part: error.field,
+            expected: error.expected,
         })?;
-        reader.end().map_err(|error| ApiError::malformed(error.to_string()))?;
         Ok(ApiJson(value))
     }
 }
@@ -59,6 +57,18 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for ApiQuery<T> {
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
         let query = Query::from_request_parts(parts, state).await;
         query.map(|Query(value)| ApiQuery(value)).map_err(|e| ApiError::malformed(e.body_text()))
+    }
+}
+
+/// Parameters of a path. What they cannot be read from, as bytes that are no UTF-8, is the path of nothing.
+pub struct ApiPath<T>(pub T);
+
+impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for ApiPath<T> {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        let path = Path::from_request_parts(parts, state).await;
+        path.map(|Path(value)| ApiPath(value)).map_err(|_| ApiError::UnknownPath(parts.uri.path().into()))
     }
 }
 

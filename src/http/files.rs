@@ -4,7 +4,7 @@ use std::io;
 use std::path::Path as FilePath;
 
 use axum::body::Body;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use tokio_util::io::ReaderStream;
@@ -12,7 +12,7 @@ use tokio_util::io::ReaderStream;
 use super::App;
 use super::avatars::find;
 use super::error::{ApiError, Problem};
-use super::extract::unknown;
+use super::extract::{ApiPath, unknown};
 use crate::jobs::AvatarFile;
 use crate::storage::{ByteRange, open_range, parse_range};
 
@@ -53,7 +53,7 @@ const PAGE_POLICY: &str = "sandbox; default-src 'none'; style-src 'unsafe-inline
 )]
 pub(super) async fn file(
     State(app): State<App>,
-    Path((id, name)): Path<(String, String)>,
+    ApiPath((id, name)): ApiPath<(String, String)>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     published(&app, &id, &name, &headers).await

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::{Path, Query, Request, State};
+use axum::extract::{Query, Request, State};
 use axum::http::{Method, Uri};
 use base64::Engine;
 use base64::prelude::BASE64_URL_SAFE_NO_PAD;
@@ -20,7 +20,7 @@ use super::App;
 use super::access::Caller;
 use super::avatars::find;
 use super::error::{ApiError, Problem};
-use super::extract::{ApiJson, unknown};
+use super::extract::{ApiJson, ApiPath, unknown};
 use crate::jobs::Timestamp;
 
 /// Seconds for which a link may be asked.
@@ -65,10 +65,10 @@ pub(super) struct LinksView {
             content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn create(
+pub(super) async fn links(
     State(app): State<App>,
     caller: Caller,
-    Path(id): Path<String>,
+    ApiPath(id): ApiPath<String>,
     ApiJson(body): ApiJson<LinksBody>,
 ) -> Result<Json<LinksView>, ApiError> {
     let avatar = find(&app, &id).await?;

@@ -30,9 +30,7 @@ use std::time::Duration;
 use axum::Router;
 use axum::extract::Request;
 use axum::http::{HeaderName, HeaderValue, Method, header};
-use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use tower::ServiceExt;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer, ExposeHeaders};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
@@ -60,7 +58,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(avatars::mesh))
         .routes(routes!(files::file))
         .routes(routes!(renders::render))
-        .routes(routes!(links::create))
+        .routes(routes!(links::links))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(health::figures))
@@ -82,25 +80,35 @@ pub fn router(app: App) -> Router {
         .route_layer(axum::middleware::from_fn(metrics::count))
         .layer(axum::middleware::from_fn_with_state(app.limits.pace, pace::keep_pace))
         .with_state(app.clone());
-    // The layer takes every OPTIONS for a browser's question about origins; the tus protocol has one of its own.
-    let without_cors = router.clone();
     router
+        .layer(axum::middleware::map_request(unmask_options))
         .layer(cors(app.access.origins()))
-        .layer(axum::middleware::from_fn(move |request: Request, next: Next| {
-            let router = without_cors.clone();
-            async move {
-                let preflight = request.headers().contains_key(header::ACCESS_CONTROL_REQUEST_METHOD);
-                if request.method() == Method::OPTIONS && !preflight {
-                    router.oneshot(request).await.unwrap_or_else(|never| match never {})
-                } else {
-                    next.run(request).await
-                }
-            }
-        }))
+        .layer(axum::middleware::map_request(mask_options))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(TraceLayer::new_for_http().make_span_with(span).on_response(tell_status))
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
+}
+
+/// An OPTIONS that is no browser's question about origins: the tus protocol has one of its own.
+#[derive(Clone, Copy)]
+struct AsksForOptions;
+
+/// The layer for origins answers every OPTIONS itself; such a one passes it as a GET, and gets its headers as any other request.
+async fn mask_options(mut request: Request) -> Request {
+    let preflight = request.headers().contains_key(header::ACCESS_CONTROL_REQUEST_METHOD);
+    if request.method() == Method::OPTIONS && !preflight {
+        *request.method_mut() = Method::GET;
+        request.extensions_mut().insert(AsksForOptions);
+    }
+    request
+}
+
+async fn unmask_options(mut request: Request) -> Request {
+    if request.extensions_mut().remove::<AsksForOptions>().is_some() {
+        *request.method_mut() = Method::OPTIONS;
+    }
+    request
 }
 
 /// What browsers let the pages of other origins do: nothing, unless it is configured. A page shows its key in a header
@@ -116,7 +124,7 @@ fn cors(origins: &[String]) -> CorsLayer {
     };
     CorsLayer::new()
         .allow_origin(allowed)
-        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PATCH, Method::DELETE])
+        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PATCH, Method::DELETE, Method::OPTIONS])
         .allow_headers(AllowHeaders::mirror_request())
         .expose_headers(ExposeHeaders::any())
         .max_age(Duration::from_secs(3600))

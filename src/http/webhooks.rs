@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
@@ -16,8 +16,8 @@ use uuid::Uuid;
 use super::App;
 use super::access::Caller;
 use super::error::{ApiError, Problem};
-use super::extract::{ApiJson, parse_id, unknown};
-use crate::jobs::webhooks::{Delivery, NewWebhook, TOLD, Webhook, Webhooks, check_url, event_type};
+use super::extract::{ApiJson, ApiPath, parse_id, unknown};
+use crate::jobs::webhooks::{Delivery, MOST_URL_BYTES, NewWebhook, TOLD, Webhook, Webhooks, check_url, event_type};
 
 /// Deliveries that are shown.
 const SHOWN: u32 = 50;
@@ -33,6 +33,7 @@ pub(super) fn router() -> OpenApiRouter<App> {
 #[serde(deny_unknown_fields)]
 pub(super) struct WebhookBody {
     /// Where to send: https, and an address of the public internet.
+    #[schema(max_length = 2048)]
     url: String,
     /// `job.queued`, `job.running`, `job.succeeded`, `job.failed`, `job.canceled`, `job.expired`; without them, the last
     /// four.
@@ -110,7 +111,7 @@ pub(super) async fn create(
         detail: error.to_string(),
         part: "url".into(),
         frame: None,
-        expected: "https and a public address, without user and password".into(),
+        expected: format!("https and a public address, without user and password, of at most {MOST_URL_BYTES} bytes"),
     })?;
     let known: BTreeSet<String> = TOLD.into_iter().map(event_type).collect();
     let events =
@@ -158,7 +159,7 @@ pub(super) async fn list(State(app): State<App>, caller: Caller) -> Result<Json<
 pub(super) async fn get(
     State(app): State<App>,
     caller: Caller,
-    Path(id): Path<String>,
+    ApiPath(id): ApiPath<String>,
 ) -> Result<Json<WebhookView>, ApiError> {
     let queue = webhooks(&app)?.queue;
     let webhook = queue.webhook(parse_id("webhook", &id)?, caller.sees_only()).await?;
@@ -180,7 +181,7 @@ pub(super) async fn get(
 pub(super) async fn delete(
     State(app): State<App>,
     caller: Caller,
-    Path(id): Path<String>,
+    ApiPath(id): ApiPath<String>,
 ) -> Result<StatusCode, ApiError> {
     let gone = webhooks(&app)?.queue.delete_webhook(parse_id("webhook", &id)?, caller.sees_only()).await?;
     if gone { Ok(StatusCode::NO_CONTENT) } else { Err(unknown("webhook", id)) }

@@ -19,6 +19,9 @@ pub enum Preset {
     SilhouetteOnly,
 }
 
+/// Of a seed: 2⁵³ − 1, which every client's numbers hold.
+const MOST_SEED: u64 = (1 << 53) - 1;
+
 /// The `options` part of an upload. Every field may be left out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -37,7 +40,7 @@ pub struct JobOptions {
     #[schema(default = "default", pattern = "^[A-Za-z0-9_-]{1,64}$")]
     pub body: String,
     /// Seed of everything random in the fit. The same program, inputs, options and device give the same avatar, bit by bit.
-    #[schema(default = 0)]
+    #[schema(default = 0, maximum = 9007199254740991_i64)]
     pub seed: u64,
     /// The person's height, metres. One camera cannot tell a small person near from a tall one far; absent, the mean
     /// height of adults, 1.65 m, decides.
@@ -88,17 +91,11 @@ pub struct OptionsError {
 impl JobOptions {
     /// Reads and checks the JSON of the `options` part.
     pub fn parse(json: &[u8]) -> Result<JobOptions, OptionsError> {
-        let mut reader = serde_json::Deserializer::from_slice(json);
-        let options: JobOptions = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
-            let path = error.path().to_string();
-            let message = error.into_inner().to_string();
-            OptionsError {
-                field: (path != ".").then_some(path),
-                expected: message.split_once("expected ").map(|(_, rest)| strip_position(rest).into()),
-                message: strip_position(&message).into(),
-            }
+        let options: JobOptions = crate::json::object(json).map_err(|error| OptionsError {
+            field: error.field,
+            message: error.message,
+            expected: error.expected,
         })?;
-        reader.end().map_err(|e| OptionsError { field: None, message: e.to_string(), expected: None })?;
         options.check()?;
         Ok(options)
     }
@@ -119,6 +116,9 @@ impl JobOptions {
         if let Some(h) = self.height_m.filter(|h| !(0.5..=2.5).contains(h)) {
             return Err(wrong("height_m", h.to_string(), "0.5 to 2.5"));
         }
+        if self.seed > MOST_SEED {
+            return Err(wrong("seed", self.seed.to_string(), &format!("0 to {MOST_SEED}")));
+        }
         if ![2048, 4096].contains(&self.texture_px) {
             return Err(wrong("texture_px", self.texture_px.to_string(), "2048 or 4096"));
         }
@@ -133,11 +133,6 @@ impl JobOptions {
         }
         Ok(())
     }
-}
-
-/// serde_json ends its messages with the place in the text, which says little about a small object.
-fn strip_position(message: &str) -> &str {
-    message.split(" at line ").next().unwrap_or(message)
 }
 
 #[cfg(test)]
@@ -170,6 +165,7 @@ mod tests {
             (r#"{"preset":"best"}"#, "preset"),
             (r#"{"speed":1}"#, "speed"),
             (r#"{"max_frames":1}"#, "max_frames"),
+            (r#"{"seed":9007199254740992}"#, "seed"),
             (r#"{"max_frames":"many"}"#, "max_frames"),
             (r#"{"max_side_px":100000}"#, "max_side_px"),
             (r#"{"height_m":17.5}"#, "height_m"),
@@ -188,7 +184,8 @@ mod tests {
 
     #[test]
     fn what_is_no_object_is_refused() {
-        for json in ["", "[1]", "null", "{} {}", "{\"preset\":"] {
+        let by_place = r#"["draft",2,64,"default",5,1.8,true,2048,0,null]"#;
+        for json in ["", "[1]", by_place, "null", "{} {}", "{\"preset\":"] {
             assert!(JobOptions::parse(json.as_bytes()).is_err(), "{json}");
         }
     }

@@ -1,6 +1,5 @@
 //! `POST /v1/jobs`
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::to_bytes;
@@ -10,14 +9,13 @@ use axum::response::{IntoResponse, Response};
 use uuid::Uuid;
 
 use super::form::Form;
-use super::upload::{JobOfUploads, Received, UploadForm, receive, receive_json};
+use super::upload::{JobOfUploads, Received, UploadForm, Used, receive, receive_json};
 use super::view::JobView;
 use crate::http::access::{BytesLeft, Caller};
 use crate::http::app::{App, InspectError, Limits};
 use crate::http::error::{ApiError, Problem};
 use crate::http::pace::Lateness;
 use crate::jobs::{Clip, Insertion, Job, NewJob, QueueError, Remember, Remembered};
-use crate::storage::Store;
 
 /// How long a clip waits for others that are looked at.
 const INSPECTION_WAIT: Duration = Duration::from_secs(120);
@@ -65,10 +63,15 @@ pub(super) async fn create(State(app): State<App>, caller: Caller, request: Requ
         None => false,
     };
     // A repeated request makes no second job: it needs no place in the queue and nothing of the quota.
-    let limits = if is_known { app.limits.clone() } else { allowance(&app, &caller).await? };
-    refuse_by_length(&headers, limits.upload_bytes)?;
+    let quota = if is_known { None } else { left_of_quota(&app, &caller).await? };
+    let limits = match &quota {
+        Some(quota) => Limits { upload_bytes: app.limits.upload_bytes.min(quota.left), ..app.limits.clone() },
+        None => app.limits.clone(),
+    };
+    let blame = |error| blame_quota(error, quota.as_ref(), &limits);
+    refuse_by_length(&headers, limits.upload_bytes).map_err(blame)?;
     refuse_without_room(&app, &headers, is_known).await?;
-    let mut received = read(&app, request, &limits, key.is_some()).await?;
+    let mut received = read(&app, request, &limits, key.is_some()).await.map_err(blame)?;
     let remember = key.map(|key| Remember { key, fingerprint: received.fingerprint(), answer });
     // Requests under one key go one after the other: the first makes the job, the others find its answer.
     let mut _lock = None;
@@ -78,7 +81,7 @@ pub(super) async fn create(State(app): State<App>, caller: Caller, request: Requ
             return replay(remember, known);
         }
     }
-    let used = received.adopt(&app, &caller, &limits).await?;
+    let used = received.adopt(&app, &caller, &limits).await.map_err(blame)?;
     let (received, clip) = inspect(&app, received).await?;
     match accept(app, caller.key_id(), received, clip, remember.clone(), used).await? {
         Insertion::Queued(job) => {
@@ -110,18 +113,6 @@ async fn read(app: &App, request: Request, limits: &Limits, hash: bool) -> Resul
         return receive_json(&json, &app.store).await;
     }
     receive(Form::of(request).await?, &app.store, limits, hash, &lateness).await
-}
-
-/// The files are the job's now.
-async fn remove_used(store: &Arc<Store>, used: Vec<Uuid>) {
-    let store = store.clone();
-    let removed =
-        tokio::task::spawn_blocking(move || used.into_iter().try_for_each(|id| store.remove_resumable(id).map(drop)));
-    match removed.await {
-        Ok(Ok(())) => {}
-        Ok(Err(error)) => tracing::warn!(%error, "a used upload stays until it expires"),
-        Err(error) => tracing::error!(%error, "removing used uploads panicked"),
-    }
 }
 
 /// The body of the answer: a repeated request gets the very same.
@@ -182,17 +173,23 @@ fn content_length(headers: &HeaderMap) -> Option<u64> {
     headers.get(header::CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
 }
 
-/// The server's limits, narrowed to what the caller's key may still keep. The transaction that puts the job in decides;
+/// What the caller's key may still keep, where that is less than the server takes. The transaction that puts the job in decides;
 /// this spares the caller a long upload in vain.
-async fn allowance(app: &App, caller: &Caller) -> Result<Limits, ApiError> {
-    let mut limits = app.limits.clone();
-    if let Some(BytesLeft { limit, left }) = caller.bytes_left(app).await? {
-        if left == 0 {
-            return Err(QueueError::Quota { what: "bytes kept", limit }.into());
-        }
-        limits.upload_bytes = limits.upload_bytes.min(left);
+async fn left_of_quota(app: &App, caller: &Caller) -> Result<Option<BytesLeft>, ApiError> {
+    match caller.bytes_left(app).await? {
+        Some(BytesLeft { limit, left: 0 }) => Err(QueueError::Quota { what: "bytes kept", limit }.into()),
+        quota => Ok(quota.filter(|quota| quota.left < app.limits.upload_bytes)),
     }
-    Ok(limits)
+}
+
+/// What is larger than the key's quota leaves is not too large: it has room when jobs are deleted.
+fn blame_quota(error: ApiError, quota: Option<&BytesLeft>, limits: &Limits) -> ApiError {
+    match (error, quota) {
+        (ApiError::TooLarge { limit_bytes, .. }, Some(quota)) if limit_bytes == limits.upload_bytes => {
+            ApiError::quota_left(quota.limit, quota.left)
+        }
+        (error, _) => error,
+    }
 }
 
 /// A client that tells the size beforehand need not send it all to learn that it is too much.
@@ -237,7 +234,7 @@ async fn accept(
     received: Received,
     clip: Clip,
     remember: Option<Remember>,
-    used: Vec<Uuid>,
+    used: Used,
 ) -> Result<Insertion, ApiError> {
     let task = tokio::spawn(async move {
         let id = app.env.new_id();
@@ -250,7 +247,7 @@ async fn accept(
             tokio::task::spawn_blocking(move || store.delete_job(id)).await.map_err(ApiError::internal)??;
         }
         if matches!(queued, Ok(Insertion::Queued(_))) {
-            remove_used(&app.store, used).await;
+            used.remove(&app.store).await;
         }
         Ok(queued?)
     });

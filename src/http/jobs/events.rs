@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::time::Duration;
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{self, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
@@ -16,7 +16,7 @@ use super::view::preview_url;
 use crate::http::App;
 use crate::http::app::Feed;
 use crate::http::error::{ApiError, Problem};
-use crate::http::extract::{parse_id, unknown};
+use crate::http::extract::{ApiPath, parse_id, unknown};
 use crate::jobs::{Event, EventKind, QueueError};
 
 /// Events read at once.
@@ -43,7 +43,7 @@ const LOOK: Duration = Duration::from_secs(2);
 )]
 pub(super) async fn events(
     State(app): State<App>,
-    Path(id): Path<String>,
+    ApiPath(id): ApiPath<String>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let job = parse_id("job", &id)?;

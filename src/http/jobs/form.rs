@@ -11,6 +11,7 @@ use std::task::{Context, Poll};
 use axum::body::{Body, Bytes, HttpBody};
 use axum::extract::multipart::{Field, MultipartError};
 use axum::extract::{FromRequest, Multipart, Request};
+use axum::http::header;
 use http_body::Frame;
 
 use crate::http::error::ApiError;
@@ -37,8 +38,11 @@ impl Form {
         let (head, body) = request.into_parts();
         let supply = Supply::of(body);
         let request = Request::from_parts(head, Body::new(supply.clone()));
-        let parts = Multipart::from_request(request, &()).await;
-        Ok(Form { parts: parts.map_err(|e| ApiError::MediaType(e.body_text()))?, supply })
+        let kind = request.headers().get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
+        let detail =
+            format!("the content type is {kind:?}, neither multipart/form-data with a boundary nor application/json");
+        let parts = Multipart::from_request(request, &()).await.map_err(|_| ApiError::MediaType(detail))?;
+        Ok(Form { parts, supply })
     }
 
     pub(super) async fn next_part(&mut self) -> Result<Option<FormPart<'_>>, ApiError> {
@@ -149,7 +153,6 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use axum::extract::DefaultBodyLimit;
-    use axum::http::header;
     use futures_util::{StreamExt, stream};
     use tower::{Layer, ServiceExt, service_fn};
 

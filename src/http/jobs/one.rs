@@ -1,7 +1,7 @@
 //! `/v1/jobs/{id}` and the wishes about it.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use uuid::Uuid;
@@ -9,7 +9,7 @@ use uuid::Uuid;
 use super::view::JobView;
 use crate::http::App;
 use crate::http::error::{ApiError, Problem};
-use crate::http::extract::{parse_id, unknown};
+use crate::http::extract::{ApiPath, parse_id, unknown};
 use crate::http::files::matches_etag;
 use crate::jobs::{self, Change, Deletion, Job};
 
@@ -17,7 +17,11 @@ use crate::jobs::{self, Change, Deletion, Job};
 ///
 /// Send the `ETag` of the last answer as `If-None-Match` to learn cheaply that nothing changed.
 #[utoipa::path(
-    get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path, description = "The job's id")),
+    get, path = "/v1/jobs/{id}", tag = "jobs",
+    params(
+        ("id" = String, Path, description = "The job's id"),
+        ("if-none-match" = Option<String>, Header, description = "The `ETag` of the last answer"),
+    ),
     responses(
         (status = 200, description = "The job", body = JobView, headers(
             ("etag" = String, description = "Changes with the job"),
@@ -28,7 +32,7 @@ use crate::jobs::{self, Change, Deletion, Job};
 )]
 pub(super) async fn get(
     State(app): State<App>,
-    Path(id): Path<String>,
+    ApiPath(id): ApiPath<String>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let job = app.queue.get(parse_id("job", &id)?).await?.ok_or_else(|| unknown("job", id))?;
@@ -64,7 +68,7 @@ fn retry_after(job: &Job) -> Option<u32> {
             content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> Result<Response, ApiError> {
+pub(super) async fn cancel(State(app): State<App>, ApiPath(id): ApiPath<String>) -> Result<Response, ApiError> {
     let job = done(app.queue.cancel(parse_id("job", &id)?).await?, "canceled", id)?;
     let status = if job.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
     Ok((status, Json(JobView::from(job))).into_response())
@@ -84,7 +88,7 @@ pub(super) async fn cancel(State(app): State<App>, Path(id): Path<String>) -> Re
             content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn retry(State(app): State<App>, Path(id): Path<String>) -> Result<Response, ApiError> {
+pub(super) async fn retry(State(app): State<App>, ApiPath(id): ApiPath<String>) -> Result<Response, ApiError> {
     let job = done(app.queue.retry(parse_id("job", &id)?).await?, "retried", id)?;
     Ok((StatusCode::ACCEPTED, Json(JobView::from(job))).into_response())
 }
@@ -100,7 +104,7 @@ pub(super) async fn retry(State(app): State<App>, Path(id): Path<String>) -> Res
         (status = 404, description = "No such job", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
+pub(super) async fn delete(State(app): State<App>, ApiPath(id): ApiPath<String>) -> Result<StatusCode, ApiError> {
     let job = parse_id("job", &id)?;
     // To its end, even if the client goes away: no row means no files. What a crash leaves behind, the next start removes.
     let deletion = tokio::spawn(async move {

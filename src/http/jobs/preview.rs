@@ -1,12 +1,12 @@
 //! `GET /v1/jobs/{id}/preview`: how the avatar looks so far.
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 use crate::http::App;
 use crate::http::error::{ApiError, Problem};
-use crate::http::extract::{parse_id, unknown};
+use crate::http::extract::{ApiPath, parse_id, unknown};
 use crate::http::files::matches_etag;
 
 /// See the avatar in the making.
@@ -30,7 +30,7 @@ use crate::http::files::matches_etag;
 )]
 pub(super) async fn preview(
     State(app): State<App>,
-    Path(id): Path<String>,
+    ApiPath(id): ApiPath<String>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let job = parse_id("job", &id)?;

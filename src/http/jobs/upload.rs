@@ -1,6 +1,7 @@
 //! The multipart body, streamed to the disk part by part: memory holds one chunk, whatever the size.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 use serde::Deserialize;
@@ -14,9 +15,10 @@ use crate::http::access::Caller;
 use crate::http::app::{App, Limits};
 use crate::http::error::ApiError;
 use crate::http::pace::Lateness;
-use crate::http::uploads;
+use crate::http::uploads::{self, Turn};
 use crate::jobs::{JobOptions, Part};
-use crate::storage::{Store, Upload};
+use crate::json;
+use crate::storage::{ResumableUpload, Store, Upload};
 
 /// The parts of an upload.
 #[derive(utoipa::ToSchema)]
@@ -195,16 +197,15 @@ pub(super) async fn receive_json(json: &[u8], store: &Store) -> Result<Received,
     Ok(received)
 }
 
+/// An object that is a part of its own, or the body where `part` is empty.
 fn parse_json<T: serde::de::DeserializeOwned>(json: &[u8], part: &str) -> Result<T, ApiError> {
-    let mut reader = serde_json::Deserializer::from_slice(json);
-    serde_path_to_error::deserialize(&mut reader).map_err(|error| {
-        let path = error.path().to_string();
-        let at = [part, path.as_str()].into_iter().filter(|text| !text.is_empty() && *text != ".");
-        let expected = "JSON: parts and the ids of their uploads".to_string();
+    json::object(json).map_err(|error| {
+        let at: Vec<&str> =
+            [part, error.field.as_deref().unwrap_or("")].into_iter().filter(|text| !text.is_empty()).collect();
         ApiError::Malformed {
-            detail: error.inner().to_string(),
-            part: Some(at.collect::<Vec<_>>().join(".")).filter(|part| !part.is_empty()),
-            expected: Some(expected),
+            detail: error.message,
+            part: (!at.is_empty()).then(|| at.join(".")),
+            expected: Some(error.expected.unwrap_or_else(|| "parts and the ids of their uploads".into())),
         }
     })
 }
@@ -227,26 +228,33 @@ impl Received {
         }
     }
 
-    /// Takes the finished uploads that the request named as its parts; returns their ids. They stay until the job is
+    /// Takes the finished uploads that the request named as its parts. They stay until the job is
     /// accepted, so that a refused request can be mended.
-    pub async fn adopt(&mut self, app: &App, caller: &Caller, limits: &Limits) -> Result<Vec<Uuid>, ApiError> {
-        let mut used = Vec::new();
-        let mut total: u64 = self.inputs.values().map(|part| part.bytes).sum();
-        for (part, id) in std::mem::take(&mut self.references) {
-            let wrong = |detail: String, expected: &str| {
-                let expected = expected.to_string();
-                ApiError::Input { detail, part: format!("{UPLOADS}.{part}"), frame: None, expected }
-            };
-            let (found, _turn) = match uploads::take(app, caller, &id.to_string()).await {
+    pub async fn adopt(&mut self, app: &App, caller: &Caller, limits: &Limits) -> Result<Used, ApiError> {
+        let references = std::mem::take(&mut self.references);
+        let wrong = |part: &str, detail: String, expected: &str| {
+            let expected = expected.to_string();
+            ApiError::Input { detail, part: format!("{UPLOADS}.{part}"), frame: None, expected }
+        };
+        // In the order of their ids, so that no two requests wait for each other.
+        let by_id: BTreeMap<Uuid, &String> = references.iter().map(|(part, &id)| (id, part)).collect();
+        let mut used = Used(BTreeMap::new());
+        for (id, part) in by_id {
+            let taken = match uploads::take(app, caller, &id.to_string()).await {
                 Err(ApiError::Unknown { .. }) => {
-                    return Err(wrong(format!("there is no upload {id}"), "the id of a finished upload"));
+                    return Err(wrong(part, format!("there is no upload {id}"), "the id of a finished upload"));
                 }
                 other => other?,
             };
+            used.0.insert(id, taken);
+        }
+        let mut total: u64 = self.inputs.values().map(|part| part.bytes).sum();
+        for (part, id) in references {
+            let (found, _) = &used.0[&id];
             let bytes = found.about.bytes;
             if !found.is_whole() {
                 let detail = format!("of the upload {id}, {} of {bytes} bytes have come", found.offset);
-                return Err(wrong(detail, "a finished upload"));
+                return Err(wrong(&part, detail, "a finished upload"));
             }
             let kind_limit = KINDS.iter().find(|kind| kind.name == part).map_or(0, |kind| kind.limit_bytes);
             total = total.saturating_add(bytes);
@@ -258,9 +266,25 @@ impl Received {
             }
             self.upload.adopt(&part, id)?;
             self.inputs.insert(part, Part { bytes });
-            used.push(id);
         }
         Ok(used)
+    }
+}
+
+/// Uploads that a request makes its parts, and its right to them: until the job is accepted or refused, no other takes them.
+pub(in crate::http) struct Used(BTreeMap<Uuid, (ResumableUpload, Turn)>);
+
+impl Used {
+    /// The files are the job's now.
+    pub async fn remove(self, store: &Arc<Store>) {
+        let store = store.clone();
+        let removed =
+            tokio::task::spawn_blocking(move || self.0.keys().try_for_each(|&id| store.remove_resumable(id).map(drop)));
+        match removed.await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => tracing::warn!(%error, "a used upload stays until it expires"),
+            Err(error) => tracing::error!(%error, "removing used uploads panicked"),
+        }
     }
 }
 

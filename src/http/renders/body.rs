@@ -9,7 +9,8 @@ use crate::jobs::Avatar;
 use crate::jobs::render::{Background, ImageRequest, Light, Place, PoseSource};
 
 const POSE_VALUES: usize = 72;
-const MAX_BETAS: usize = 300;
+/// No importer keeps more of a body.
+const MAX_BETAS: usize = 16;
 /// Of a picture.
 const MAX_SIDE_PX: u32 = 4096;
 /// Rotations further away than this from a full turn are a mistake of units.
@@ -32,6 +33,7 @@ pub(in crate::http) struct RenderBody {
     /// With `pose`: where the pelvis is, metres; wins over `translation`. With neither, as in the first frame.
     pub pelvis: Option<[f64; 3]>,
     /// Another shape than the fitted one.
+    #[schema(max_items = 16)]
     pub betas: Option<Vec<f64>>,
     /// Absent: the capture's.
     pub camera: Option<CameraBody>,
@@ -60,6 +62,7 @@ pub(in crate::http) enum Format {
 
 /// A pinhole camera in OpenCV's axes: x right, y down, z forward; pixel centres at half integers.
 #[derive(Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
 pub(in crate::http) struct CameraBody {
     /// Pixels of the picture.
     #[schema(minimum = 1, maximum = 4096)]
@@ -77,22 +80,29 @@ pub(in crate::http) struct CameraBody {
     /// OpenCV's `[k1, k2, p1, p2, k3]`, shorter if the rest is zero, or the same by name.
     #[schema(value_type = Option<Vec<f64>>)]
     pub distortion: Option<Distortion>,
-    /// The coefficients may also stand beside the other fields.
-    #[serde(flatten)]
-    #[schema(inline)]
-    pub coefficients: Coefficients,
+    /// The coefficients may also stand beside the other fields; zero where absent.
+    #[serde(default)]
+    pub k1: f64,
+    #[serde(default)]
+    pub k2: f64,
+    #[serde(default)]
+    pub p1: f64,
+    #[serde(default)]
+    pub p2: f64,
+    #[serde(default)]
+    pub k3: f64,
 }
 
 #[derive(Clone, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected at most five numbers, or k1, k2, p1, p2 and k3 by name")]
 pub(in crate::http) enum Distortion {
     List(Vec<f64>),
     Named(Coefficients),
 }
 
 /// Of the lens, zero where absent.
-#[derive(Clone, Copy, Default, Deserialize, utoipa::ToSchema)]
-#[serde(default)]
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub(in crate::http) struct Coefficients {
     pub k1: f64,
     pub k2: f64,
@@ -102,7 +112,7 @@ pub(in crate::http) struct Coefficients {
 }
 
 #[derive(Clone, Copy, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected nine numbers, or three rows of three")]
 pub(in crate::http) enum Rotation {
     Rows([[f64; 3]; 3]),
     Flat([f64; 9]),
@@ -219,10 +229,9 @@ impl CameraBody {
 
 impl CameraBody {
     fn lens(&self) -> Result<[f64; 5], ApiError> {
-        let by_name = |c: &Coefficients| [c.k1, c.k2, c.p1, c.p2, c.k3];
         let lens = match &self.distortion {
-            None => by_name(&self.coefficients),
-            Some(Distortion::Named(named)) => by_name(named),
+            None => [self.k1, self.k2, self.p1, self.p2, self.k3],
+            Some(Distortion::Named(named)) => [named.k1, named.k2, named.p1, named.p2, named.k3],
             Some(Distortion::List(list)) => {
                 let mut lens = [0.0; 5];
                 let Some(start) = lens.get_mut(..list.len()) else {

@@ -4,14 +4,14 @@ mod body;
 #[cfg(test)]
 mod tests;
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 
 use super::App;
 use super::avatars::{find, model};
 use super::error::{ApiError, Problem};
-use super::extract::ApiJson;
+use super::extract::{ApiJson, ApiPath};
 use crate::jobs::Avatar;
 use crate::jobs::render::{RenderError, RenderRequest, What};
 use body::RenderBody;
@@ -35,7 +35,7 @@ use body::RenderBody;
 )]
 pub(super) async fn render(
     State(app): State<App>,
-    Path(id): Path<String>,
+    ApiPath(id): ApiPath<String>,
     ApiJson(body): ApiJson<RenderBody>,
 ) -> Result<Response, ApiError> {
     let avatar = find(&app, &id).await?;

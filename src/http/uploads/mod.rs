@@ -9,7 +9,7 @@ mod headers;
 mod piece;
 mod turns;
 
-use axum::extract::{DefaultBodyLimit, Path, Request, State};
+use axum::extract::{DefaultBodyLimit, Request, State};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -20,7 +20,7 @@ use uuid::Uuid;
 use super::App;
 use super::access::{BytesLeft, Caller};
 use super::error::{ApiError, Problem};
-use super::extract::{parse_id, unknown};
+use super::extract::{ApiPath, parse_id, unknown};
 use crate::jobs::QueueError;
 use crate::storage::{AboutUpload, ResumableUpload};
 
@@ -197,7 +197,7 @@ fn refuse_beyond_quota(
         (status = 404, description = "No such upload"),
     )
 )]
-async fn look(State(app): State<App>, caller: Caller, Path(id): Path<String>) -> Result<Response, ApiError> {
+async fn look(State(app): State<App>, caller: Caller, ApiPath(id): ApiPath<String>) -> Result<Response, ApiError> {
     let (upload, _turn) = take(&app, &caller, &id).await?;
     let mut response = StatusCode::OK.into_response();
     let answer = response.headers_mut();
@@ -244,7 +244,7 @@ async fn look(State(app): State<App>, caller: Caller, Path(id): Path<String>) ->
 async fn append(
     State(app): State<App>,
     caller: Caller,
-    Path(id): Path<String>,
+    ApiPath(id): ApiPath<String>,
     request: Request,
 ) -> Result<Response, ApiError> {
     let (upload, turn) = take(&app, &caller, &id).await?;
@@ -264,7 +264,7 @@ async fn append(
         (status = 404, description = "No such upload", body = Problem, content_type = "application/problem+json"),
     )
 )]
-async fn remove(State(app): State<App>, caller: Caller, Path(id): Path<String>) -> Result<Response, ApiError> {
+async fn remove(State(app): State<App>, caller: Caller, ApiPath(id): ApiPath<String>) -> Result<Response, ApiError> {
     let (upload, _turn) = take(&app, &caller, &id).await?;
     let store = app.store.clone();
     tokio::task::spawn_blocking(move || store.remove_resumable(upload.id)).await.map_err(ApiError::internal)??;
@@ -288,7 +288,12 @@ async fn remove(State(app): State<App>, caller: Caller, Path(id): Path<String>) 
             content_type = "application/problem+json"),
     )
 )]
-async fn overridden(app: State<App>, caller: Caller, id: Path<String>, request: Request) -> Result<Response, ApiError> {
+async fn overridden(
+    app: State<App>,
+    caller: Caller,
+    id: ApiPath<String>,
+    request: Request,
+) -> Result<Response, ApiError> {
     match request.headers().get("x-http-method-override").map(HeaderValue::as_bytes) {
         Some(b"PATCH") => append(app, caller, id, request).await,
         Some(b"DELETE") => remove(app, caller, id).await,

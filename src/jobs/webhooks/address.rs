@@ -5,9 +5,14 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
 use url::{Host, Url};
 
+/// More than any server takes in a request's first line.
+pub const MOST_URL_BYTES: usize = 2048;
+
 /// Why a text is no address that a webhook may have.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AddressError {
+    #[error("the URL has {0} bytes, more than {MOST_URL_BYTES}")]
+    TooLong(usize),
     #[error("{0:?} is no URL")]
     NoUrl(String),
     #[error("the URL's scheme is {0:?}, not https")]
@@ -21,6 +26,9 @@ pub enum AddressError {
 /// Checks what can be said without asking the name service; the rest is checked when the message is sent, on the very
 /// address that is connected to. `private` allows plain HTTP and addresses of one's own network.
 pub fn check_url(text: &str, private: bool) -> Result<Url, AddressError> {
+    if text.len() > MOST_URL_BYTES {
+        return Err(AddressError::TooLong(text.len()));
+    }
     let url = Url::parse(text).map_err(|_| AddressError::NoUrl(text.into()))?;
     if url.scheme() != "https" && !(private && url.scheme() == "http") {
         return Err(AddressError::Scheme(url.scheme().into()));
@@ -151,8 +159,10 @@ mod tests {
         for text in ["https://hooks.example/a?b=c", "https://8.8.8.8:8443/", "https://[2606:4700::1111]/x"] {
             assert_eq!(check_url(text, false).map(String::from), Ok(text.into()));
         }
+        let long = format!("https://hooks.example/{}", "x".repeat(2048));
         let private = |text: &str| AddressError::Private(text.parse().unwrap());
         for (text, error) in [
+            (long.as_str(), AddressError::TooLong(2070)),
             ("hooks.example", AddressError::NoUrl("hooks.example".into())),
             ("http://hooks.example/", AddressError::Scheme("http".into())),
             ("file:///etc/passwd", AddressError::Scheme("file".into())),

@@ -10,7 +10,7 @@ use uuid::Uuid;
 use super::queue::QueueFuture;
 use super::{State, Timestamp};
 
-pub use address::{AddressError, check_url, is_public};
+pub use address::{AddressError, MOST_URL_BYTES, check_url, is_public};
 
 /// Waits after the first, second, … attempt that failed: the schedule that Standard Webhooks recommends, about three
 /// days in all.

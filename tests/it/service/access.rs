@@ -132,6 +132,19 @@ async fn every_operation_asks_for_a_key_and_hides_what_is_anothers() {
 }
 
 #[tokio::test]
+async fn a_path_that_is_no_text_is_the_path_of_nothing() {
+    let (bench, _) = Bench::guarded(Openness::Keys, &[]).await;
+    for (name, scopes) in [("one", &USER[..]), ("boss", &[Scope::Admin])] {
+        let key = bench.key(name, scopes, Quota::default()).await;
+        for path in ["/v1/jobs/%ff", "/v1/jobs/%ff/events", "/v1/avatars/%ff/avatar.glb", "/v1/webhooks/%ff"] {
+            assert_eq!(key.get(path).await.problem(404)["type"], "urn:effigy:problem:unknown-path", "{path}");
+        }
+        let headers = [("authorization", key.header.as_str()), ("tus-resumable", "1.0.0")];
+        bench.call(Method::DELETE, "/v1/uploads/%ff", &headers, Body::empty()).await.problem(404);
+    }
+}
+
+#[tokio::test]
 async fn a_list_shows_what_is_ones_own() {
     let (bench, _) = Bench::guarded(Openness::Keys, &[]).await;
     let (one, two) = (bench.key("one", &USER, Quota::default()).await, bench.key("two", &USER, Quota::default()).await);
@@ -165,8 +178,9 @@ async fn a_quota_of_waiting_jobs_and_of_bytes_holds() {
 
     let kept = small.upload(&Form::clip()).await.json();
     // What is left is less than such an upload.
-    let refused = small.upload(&Form::clip()).await.problem(413);
-    assert_eq!(refused["expected"], format!("at most {} bytes", size / 2), "{refused}");
+    let refused = small.upload(&Form::clip()).await.problem(429);
+    assert_eq!(refused["type"], "urn:effigy:problem:quota-exceeded");
+    assert!(refused["detail"].as_str().unwrap().ends_with(&format!("of which {} are left", size / 2)), "{refused}");
     small.call(Method::DELETE, &format!("/v1/jobs/{}", kept["id"].as_str().unwrap()), "").await;
     assert_eq!(small.upload(&Form::clip()).await.status, 202);
     // Nothing of what was refused is left: two jobs of the first key, one of the second.
@@ -441,6 +455,13 @@ async fn pages_of_configured_origins_may_call() {
     let denied = bench.call(Method::GET, "/v1/jobs", &[("origin", "https://friend.example")], Body::empty()).await;
     assert_eq!(denied.header("access-control-allow-origin"), "https://friend.example", "refusals can be read too");
     denied.problem(401);
+    // What a server can do with uploads is asked by OPTIONS, too, and not about origins.
+    let key = bench.key("page", &USER, Quota::default()).await;
+    let headers = [("origin", "https://friend.example"), ("authorization", key.header.as_str())];
+    let abilities = bench.call(Method::OPTIONS, "/v1/uploads", &headers, Body::empty()).await;
+    assert_eq!((abilities.status.as_u16(), abilities.header("tus-version")), (204, "1.0.0"));
+    assert_eq!(abilities.header("access-control-allow-origin"), "https://friend.example");
+    assert!(allowed.headers()["access-control-allow-methods"].to_str().unwrap().contains("OPTIONS"));
     let (none, _) = Bench::guarded(Openness::Open, &[]).await;
     assert!(!preflight(&none, "https://friend.example").await.headers().contains_key("access-control-allow-origin"));
 }

@@ -135,8 +135,14 @@ async fn bad_renders_are_refused() {
     let bench = Bench::new().await;
     let path = format!("{}/renders", avatar(&bench).await);
     let sized = |side: u32| json!({ "width": side, "height": 10, "fx": 9, "fy": 9, "cx": 5, "cy": 5 });
+    let with = |field: &str, value: Value| {
+        let mut camera = sized(10);
+        camera[field] = value;
+        camera
+    };
     for (body, part) in [
         (json!({ "pose": vec![0; 71] }), "pose"),
+        (json!({ "frame": 0, "betas": vec![0; 17] }), "betas"),
         (json!({ "frame": 99 }), "frame"),
         (json!({ "frame": 0, "camera": sized(0) }), "camera.width"),
         (json!({ "frame": 0, "camera": sized(100_000) }), "camera.width"),
@@ -157,6 +163,9 @@ async fn bad_renders_are_refused() {
         (json!({ "frame": 0, "format": "gif" }), "format"),
         (json!({ "frame": 0, "colour": "red" }), "colour"),
         (json!({ "frame": 0, "camera": { "width": 10 } }), "camera"),
+        (json!({ "frame": 0, "camera": with("rotaton", json!([1, 0, 0, 0, 1, 0, 0, 0, 1])) }), "camera.rotaton"),
+        (json!({ "frame": 0, "camera": with("distortion", json!({ "k9": 1 })) }), "camera.distortion"),
+        (json!({ "frame": 0, "camera": with("rotation", json!([1, 2])) }), "camera.rotation"),
     ] {
         assert_eq!(bench.post_json(&path, &body).await.problem(400)["part"], part);
     }

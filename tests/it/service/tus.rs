@@ -206,6 +206,9 @@ async fn a_job_is_made_of_uploads() {
     bad = asked.clone();
     bad["uploads"].as_object_mut().unwrap().remove("video");
     assert_eq!(bench.post_json("/v1/jobs", &bad).await.problem(400)["part"], "video");
+    let more = format!("{asked} {{}}");
+    let more = bench.call(Method::POST, "/v1/jobs", &[("content-type", "application/json")], more).await.problem(400);
+    assert_eq!(more["expected"], "nothing after the object", "{more}");
     let deep = format!("{{\"camera\": {}", "[".repeat(20_000));
     bench.call(Method::POST, "/v1/jobs", &[("content-type", "application/json")], deep).await.problem(400);
     let long = " ".repeat(100_000);
@@ -225,6 +228,19 @@ async fn a_job_is_made_of_uploads() {
     }
     // The same request again finds its answer, though the uploads are gone.
     assert_eq!(bench.call(Method::POST, "/v1/jobs", &key, asked.to_string()).await.json(), job);
+
+    // Of many who give the same uploads at once, one gets a job.
+    let mut ids = BTreeMap::new();
+    for (part, content) in Form::clip().0 {
+        ids.insert(part, bench.put(&content).await);
+    }
+    let asked = json!({ "uploads": ids });
+    let all = futures_util::future::join_all((0..4).map(|_| bench.post_json("/v1/jobs", &asked))).await;
+    let statuses: BTreeMap<u16, usize> = all.iter().fold(BTreeMap::new(), |mut counts, reply| {
+        *counts.entry(reply.status.as_u16()).or_default() += 1;
+        counts
+    });
+    assert_eq!(statuses, BTreeMap::from([(202, 1), (422, 3)]));
 
     // A form may bring some parts itself.
     let video = bench.put(&Form::clip().0[0].1).await;

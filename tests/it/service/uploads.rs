@@ -168,7 +168,8 @@ async fn bad_cameras_and_poses_are_refused() {
 #[tokio::test]
 async fn what_is_no_form_is_refused() {
     let bench = Bench::new().await;
-    bench.call(Method::POST, "/v1/jobs", &[("content-type", "text/plain")], "{}").await.problem(415);
+    let text = bench.call(Method::POST, "/v1/jobs", &[("content-type", "text/plain")], "{}").await.problem(415);
+    assert!(text["detail"].as_str().unwrap().starts_with("the content type is \"text/plain\""), "{text}");
     bench.call(Method::POST, "/v1/jobs", &[("content-type", "application/json")], "{}").await.problem(400);
     bench.post("/v1/jobs").await.problem(415);
     let mut cut = Form::clip().body();

@@ -306,6 +306,7 @@ async fn a_webhook_that_cannot_be_is_refused() {
         (json!({ "url": "https://127.0.0.1/" }), "url"),
         (json!({ "url": "https://[::1]/" }), "url"),
         (json!({ "url": "nonsense" }), "url"),
+        (json!({ "url": format!("https://hooks.example/{}", "x".repeat(3000)) }), "url"),
         (json!({ "url": "https://hooks.example/", "events": ["job.sneezed"] }), "events"),
     ] {
         assert_eq!(bench.post_json("/v1/webhooks", &body).await.problem(422)["part"], part, "{body}");

@@ -1,0 +1,166 @@
+// What somebody sees on the page, in cases that its own server does not make at will. `node page.mjs` runs all and fails with
+// the first that is not so.
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { JSDOM } from "jsdom";
+
+const web = (file) => readFileSync(new URL(`../../web/${file}`, import.meta.url), "utf8");
+const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+const [ONE, TWO] = ["aaaaaaaa-0000-7000-8000-000000000001", "bbbbbbbb-0000-7000-8000-000000000002"];
+
+function answer(body, status = 200, headers = {}) {
+  return new Response(JSON.stringify(body), { status, headers: { "content-type": "application/json", ...headers } });
+}
+
+const busy = (secs) => answer({ title: "This is more than the key allows", detail: "5 requests a minute" }, 429, { "retry-after": `${secs}` });
+
+// A stream of events that stays open; `send` adds one.
+function eventStream() {
+  let controller;
+  const body = new ReadableStream({ start: (c) => { controller = c; } });
+  let id = 0;
+  const send = (event, data) =>
+    controller.enqueue(new TextEncoder().encode(`id: ${++id}\nevent: ${event}\ndata: ${JSON.stringify(data)}\n\n`));
+  return { send, response: new Response(body, { headers: { "content-type": "text/event-stream" } }) };
+}
+
+const job = (id, state, more = {}) => ({
+  id, state, losses: {}, clip: { warnings: [] }, progress: 0, error: null, avatar: null, updated_at: "2026-01-01T00:00:10.000Z", ...more,
+});
+
+// The page at `#hash`, before an API that is a function from path and options to a response.
+function open(hash, api) {
+  const dom = new JSDOM(web("index.html"), { url: `http://page.test/#${hash}`, runScripts: "outside-only", pretendToBeVisual: true });
+  const { window } = dom;
+  window.asked = [];
+  window.fetch = async (path, options = {}) => {
+    window.asked.push(`${options.method ?? "GET"} ${path}`);
+    options.signal?.throwIfAborted();
+    return path.startsWith("v1/jobs?") ? answer({ jobs: [] }) : api(path, options);
+  };
+  Object.assign(window, { AbortController, TextDecoderStream });
+  window.Element.prototype.scrollIntoView = () => {};
+  let pictures = 0;
+  Object.assign(window.URL, { createObjectURL: () => `blob:${++pictures}`, revokeObjectURL: () => {} });
+  window.eval(web("effigy.js"));
+  window.$ = (id) => window.document.getElementById(id);
+  return window;
+}
+
+const cases = {
+  async "what comes late for one job is not shown with another"() {
+    let refused = false;
+    const page = open(ONE, async (path) => {
+      const [id, name] = path.includes(ONE) ? [ONE, "one"] : [TWO, "two"];
+      if (path.endsWith("links")) {
+        if (id === ONE && !refused) {
+          refused = true;
+          return busy(1);
+        }
+        return answer({ links: { [`${name}.glb`]: `/v1/avatars/${id}/${name}.glb` } });
+      }
+      if (path.endsWith("renders")) return new Response("picture");
+      if (path.startsWith("v1/avatars/")) return answer({ metrics: { name } });
+      return answer(job(id, "succeeded", { avatar: id }));
+    });
+    await sleep(200);
+    page.location.hash = TWO;
+    await sleep(1500);
+    assert.ok(refused);
+    assert.equal(page.$("job-id").textContent, TWO);
+    assert.equal(page.$("files").textContent, "two.glb");
+    assert.match(page.$("report").textContent, /two/);
+    const before = page.$("view").src;
+    page.$("turn").value = 6;
+    page.$("turn").dispatchEvent(new page.Event("input"));
+    assert.notEqual(page.$("view").src, before, "the slider turns the avatar");
+  },
+
+  async "a refused wish stays until the job is in another state"() {
+    const events = eventStream();
+    const page = open(ONE, async (path) => {
+      if (path.endsWith("cancel")) return busy(1);
+      return path.endsWith("events") ? events.response : answer(job(ONE, "running"));
+    });
+    await sleep(200);
+    page.$("cancel").click();
+    await sleep(50);
+    events.send("progress", { stage: "pose", step: 1, steps: 2, progress: 0.1, losses: {}, at: "2026-01-01T00:00:11.000Z" });
+    await sleep(100);
+    assert.match(page.$("stage").textContent, /pose 1 of 2/);
+    assert.equal(page.$("wish-problem").hidden, false);
+    assert.match(page.$("wish-problem").textContent, /5 requests a minute/);
+    events.send("state", { state: "canceling", at: "2026-01-01T00:00:12.000Z" });
+    await sleep(100);
+    assert.equal(page.$("wish-problem").hidden, true);
+  },
+
+  async "the place in the queue stays and moves"() {
+    const events = eventStream();
+    let place = 3;
+    const page = open(ONE, async (path) => {
+      if (path.endsWith("events")) return events.response;
+      return answer(job(ONE, "queued", { queue_position: place }), 200, { "retry-after": "1" });
+    });
+    await sleep(100);
+    events.send("state", { state: "queued", at: "2026-01-01T00:00:10.000Z" });
+    await sleep(100);
+    assert.match(page.$("stage").textContent, /number 3 in the queue/);
+    place = 2;
+    await sleep(2500);
+    assert.match(page.$("stage").textContent, /number 2 in the queue/);
+    events.send("state", { state: "running", at: "2026-01-01T00:00:20.000Z" });
+    await sleep(100);
+    assert.equal(page.$("state").textContent, "running");
+    assert.equal(page.$("stage").textContent, "");
+    const asked = page.asked.length;
+    await sleep(1500);
+    assert.equal(page.asked.length, asked, "a running job has no place that could be asked for");
+  },
+
+  async "what has been is not drawn again"() {
+    const events = eventStream();
+    const page = open(ONE, async (path) => path.endsWith("events") ? events.response : answer(job(ONE, "running", { progress: 0.5 })));
+    await sleep(100);
+    const drawn = [];
+    new page.MutationObserver(() => drawn.push(page.$("state").textContent)).observe(page.$("state"), { childList: true });
+    events.send("state", { state: "queued", at: "2026-01-01T00:00:01.000Z" });
+    events.send("progress", { stage: "pose", step: 1, steps: 2, progress: 0.1, losses: {}, at: "2026-01-01T00:00:05.000Z" });
+    await sleep(100);
+    assert.deepEqual(drawn, []);
+    assert.equal(page.$("progress").value, 0.5);
+    events.send("progress", { stage: "pose", step: 2, steps: 2, progress: 0.6, losses: {}, at: "2026-01-01T00:00:11.000Z" });
+    await sleep(100);
+    assert.equal(page.$("progress").value, 0.6);
+  },
+
+  async "a job that was left is not shown, and can be given no wish"() {
+    const page = open("", async (path) => path.endsWith("events") ? eventStream().response : answer(job(ONE, "running")));
+    page.location.hash = ONE;
+    await sleep(200);
+    assert.equal(page.$("job").hidden, false);
+    page.location.hash = "";
+    await sleep(200);
+    assert.ok(page.$("job").hidden && page.$("cancel").hidden);
+  },
+
+  async "what can be no key is told as that"() {
+    const page = open("", async () => answer({}));
+    await sleep(50);
+    page.$("key").value = "effigy_\u2026";
+    page.$("key").dispatchEvent(new page.Event("change"));
+    await sleep(100);
+    assert.match(page.$("problem").textContent, /no API key/);
+  },
+};
+
+for (const [name, run] of Object.entries(cases)) {
+  try {
+    await run();
+  } catch (error) {
+    console.error(`${name}: ${error.message}`);
+    process.exit(1);
+  }
+}
+console.log(`${Object.keys(cases).length} cases`);
+process.exit();
