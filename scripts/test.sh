@@ -15,5 +15,7 @@ for tool in gltf-validate tus-client page; do
     echo "tools/$tool could not be installed: its test is left out (with CI set it is required)" >&2
 done
 cargo test --locked
-# The operators once more as devices with many cores divide them.
+# The operators once more as devices with many cores divide them, and both ways with the bounds of every access checked.
 EFFIGY_WIDE_KERNELS=1 cargo test --locked --lib ops::
+EFFIGY_GPU_CHECKED=1 cargo test --locked --lib ops::
+EFFIGY_GPU_CHECKED=1 EFFIGY_WIDE_KERNELS=1 cargo test --locked --lib ops::

@@ -1,8 +1,11 @@
 // Pass 4 where many cores run side by side, one tile with a list a workgroup: its faces from first to last, as `order` leaves
 // them. Each goes to the place that the number of smaller ones tells; no face is twice in a list.
+//
+// Sixteen faces a round: llvmpipe ends an invocation after 65,535 rounds of all its loops together, which lists of some eight
+// thousand faces come to.
 #import shared/soft_face
 
-const LANES: u32 = 32u;
+const LANES: u32 = 64u;
 
 @group(0) @binding(0) var<uniform> params: SoftParams;
 @group(0) @binding(1) var<storage, read> starts: array<u32>;
@@ -30,8 +33,10 @@ fn main(
     for (var i = first + lane; i < end; i += LANES) {
         let face = entries[i];
         var smaller = 0u;
-        for (var k = first; k < end; k++) {
-            smaller += u32(entries[k] < face);
+        for (var k = first; k < end; k += 16u) {
+#for J in 0..16
+            smaller += u32(k + $Ju < end && entries[min(k + $Ju, end - 1u)] < face);
+#end
         }
         ordered[first + smaller] = face;
     }

@@ -73,7 +73,7 @@ impl Frame {
         let texture_params = TextureFieldParams::random(&texture_config, 1);
         let n_listed = n_pixels.min(MAX_LISTED);
         let soft_params = soft_params(size);
-        let list_capacity = SoftRasterizer::list_capacity(body.n_faces(), soft_params.reach_px());
+        let list_capacity = SoftRasterizer::list_capacity(body.n_faces(), n_pixels);
         let mut frame = Self {
             shape: skinning.shape_state(gpu),
             posed: skinning.pose_state(gpu),

@@ -76,6 +76,16 @@ impl Archive {
         printable(&self.entries[index].0)
     }
 
+    /// The first number that the entries' names leave out, where they are numbered one by one.
+    pub fn gap(&self) -> Option<u64> {
+        let numbers = self.entries.iter().map(|(name, _)| number_of(name)).collect::<Option<Vec<u64>>>()?;
+        let jumps = numbers.array_windows().filter(|[a, b]| b.checked_sub(*a) != Some(1));
+        let jumps: Vec<&[u64; 2]> = jumps.collect();
+        // Names of which many jump are numbered otherwise.
+        let few = 4 * jumps.len() < numbers.len();
+        jumps.first().filter(|[a, b]| few && a < b).map(|[a, _]| a + 1)
+    }
+
     /// The contents of an entry, at most `limit` bytes.
     pub fn read(&mut self, index: usize, limit: u64) -> Result<Vec<u8>, BadInput> {
         let (part, name) = (self.part, self.name(index));
@@ -93,6 +103,15 @@ impl Archive {
         }
         Ok(bytes)
     }
+}
+
+/// The last number in a file's name, without what follows it: `clip_000012_keypoints.json` is 12.
+fn number_of(name: &str) -> Option<u64> {
+    let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
+    let digits = |c: char| c.is_ascii_digit();
+    let end = file.rfind(digits)? + 1;
+    let start = file[..end].rfind(|c| !digits(c)).map_or(0, |i| i + file[i..].chars().next().map_or(1, char::len_utf8));
+    file[start..end].parse().ok()
 }
 
 fn too_many_entries(part: Part) -> BadInput {

@@ -39,7 +39,7 @@ pub fn read(path: &Path) -> Result<Camera, CaptureError> {
     let mut file = file.take(limits::CAMERA_BYTES + 1);
     file.read_to_end(&mut text).map_err(|e| CaptureError::internal("cannot read the camera", e))?;
     if text.len() as u64 > limits::CAMERA_BYTES {
-        return Err(bad("the file is too large", EXPECTED).into());
+        return Err(bad("the file is too large", format!("at most {} bytes", limits::CAMERA_BYTES)).into());
     }
     Ok(parse(&text)?)
 }
@@ -49,6 +49,7 @@ fn bad(message: impl Into<String>, expected: impl Into<String>) -> BadInput {
 }
 
 fn parse(text: &[u8]) -> Result<Camera, BadInput> {
+    let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
     let json: Map<String, Value> =
         serde_json::from_slice(text).map_err(|e| bad(format!("the JSON cannot be used: {e}"), EXPECTED))?;
     let size = |key: &str| -> Result<u32, BadInput> {
@@ -58,6 +59,7 @@ fn parse(text: &[u8]) -> Result<Camera, BadInput> {
         }
         Err(bad(format!("`{key}` is {value}"), format!("a whole number of pixels from 1 to {}", limits::SIDE_PX)))
     };
+    check_names(&json)?;
     let (width, height) = (size("width")?, size("height")?);
     let camera = Camera {
         width,
@@ -70,10 +72,59 @@ fn parse(text: &[u8]) -> Result<Camera, BadInput> {
         rotation: rotation(&json)?,
         translation: vector(&json, "translation")?.unwrap_or([0.0; 3]),
     };
+    check_middle(&camera)?;
     if !(0.5..=2.0).contains(&(camera.fx / camera.fy)) {
         return Err(bad(format!("`fx` is {}, `fy` is {}", camera.fx, camera.fy), "focal lengths within a factor of 2"));
     }
     Ok(camera)
+}
+
+/// What is read.
+const NAMES: [&str; 14] =
+    ["width", "height", "fx", "fy", "cx", "cy", "distortion", "k1", "k2", "k3", "p1", "p2", "rotation", "translation"];
+
+/// Refuses a lens under another name and a name that is nearly one of ours: they would be left out without a word. What else stands
+/// in the file is its own.
+fn check_names(json: &Map<String, Value>) -> Result<(), BadInput> {
+    for (key, value) in json {
+        if NAMES.contains(&key.as_str()) {
+            continue;
+        }
+        let lower = key.to_lowercase();
+        let model = value.as_str().unwrap_or("").to_lowercase();
+        if ["fisheye", "equidistant", "omni", "kannala"].iter().any(|name| model.contains(name)) {
+            return Err(bad(format!("`{key}` is {}", short(value)), OF_THE_LENS));
+        }
+        let is_lens = lower.starts_with("dist") || ["d", "coeffs", "coefficients", "params"].contains(&lower.as_str());
+        let is_nothing = |value: &Value| value.is_null() || value.as_f64() == Some(0.0);
+        let says_none =
+            value.is_string() || is_nothing(value) || value.as_array().is_some_and(|list| list.iter().all(is_nothing));
+        if is_lens && !says_none {
+            return Err(bad(
+                format!("there is a `{key}`, which is not read"),
+                format!("a lens as `distortion`: {OF_THE_LENS}"),
+            ));
+        }
+        let near = |name: &&&str| lower == **name || name.len() > 4 && strsim::damerau_levenshtein(&lower, name) <= 2;
+        if let Some(name) = NAMES.iter().find(near) {
+            return Err(bad(format!("there is a `{key}`"), format!("`{name}`, if that is meant")));
+        }
+    }
+    Ok(())
+}
+
+/// A principal point that lies in the middle of images of another size is of those, and so is the focal length.
+fn check_middle(camera: &Camera) -> Result<(), BadInput> {
+    let scale = [2.0 * camera.cx / f64::from(camera.width), 2.0 * camera.cy / f64::from(camera.height)];
+    let other = scale[0] > 1.25 || scale[0] < 0.8;
+    if !other || (scale[0] - scale[1]).abs() > 0.03 * scale[0] {
+        return Ok(());
+    }
+    let (cx, cy, times) = (camera.cx, camera.cy, (1e3 * scale[0]).round() / 1e3);
+    let message = format!("the principal point ({cx}, {cy}) is the middle of images {times} times as large");
+    let expected =
+        format!("numbers of the {}×{} images: divide fx, fy, cx and cy by {times}", camera.width, camera.height);
+    Err(bad(message, expected))
 }
 
 fn number(json: &Map<String, Value>, key: &str) -> Result<f64, BadInput> {
@@ -119,10 +170,11 @@ fn numbers(key: &str, value: &Value) -> Result<Vec<f64>, BadInput> {
     flat.into_iter().collect::<Option<Vec<f64>>>().ok_or_else(is_wrong)
 }
 
+const OF_THE_LENS: &str = "k1, k2, p1, p2, k3 (Brown's model, no fisheye)";
+
 /// `distortion: [k1, k2, p1, p2, k3]` (shorter is fine), `distortion: {k1: …}`, or `k1` … beside the other fields.
 fn distortion(json: &Map<String, Value>) -> Result<[f64; 5], BadInput> {
     const NAMES: [&str; 5] = ["k1", "k2", "p1", "p2", "k3"];
-    const OF_THE_LENS: &str = "k1, k2, p1, p2, k3 (Brown's model, no fisheye)";
     const OF_OTHERS: [&str; 3] = ["k4", "k5", "k6"];
     if let Some(other) = OF_OTHERS.into_iter().find(|key| json.contains_key(*key)) {
         return Err(bad(format!("there is a `{other}`"), OF_THE_LENS));
@@ -180,7 +232,9 @@ pub(super) fn check_size(camera: &Camera, width: u32, height: u32) -> Result<(),
     }
     let ratio = f64::from(camera.width) / f64::from(width);
     let hint = if (camera.width, camera.height) == (height, width) {
-        "; the video's rotation tag turns its images".to_owned()
+        "; turned against the video, as it is shown where a rotation tag turns it: swap width and height, and fx and fy, and turn \
+         cx and cy with the images"
+            .to_owned()
     } else if (ratio - f64::from(camera.height) / f64::from(height)).abs() < 1e-9 {
         format!("; divide width, height, fx, fy, cx and cy by {ratio} if the video was scaled")
     } else {
@@ -228,6 +282,11 @@ mod tests {
             ("distortion", "[null]", "`distortion` is [null]"),
             ("distortion", r#"{"k1": 0.1, "k4": 0.2}"#, "`distortion` has a `k4`"),
             ("k4", "0.2", "there is a `k4`"),
+            ("dist_coeffs", "[0.1, 0, 0, 0, 0]", "there is a `dist_coeffs`, which is not read"),
+            ("D", "[0.1]", "there is a `D`, which is not read"),
+            ("model", "\"SIMPLE_RADIAL_FISHEYE\"", "`model` is \"SIMPLE_RADIAL_FISHEYE\""),
+            ("rotaton", "[]", "there is a `rotaton`"),
+            ("K1", "0.1", "there is a `K1`"),
             ("rotation", "[[1, 0, 0], [0, 1, 0], [0, 0, 2]]", "`rotation` is no rotation"),
             ("rotation", "[1, 0, 0, 0, 1, 0, 0, 0, -1]", "`rotation` is no rotation"),
             ("rotation", "[1, 0]", "`rotation` has 2 numbers"),
@@ -238,6 +297,29 @@ mod tests {
         }
         assert!(parse(b"[]").unwrap_err().message.starts_with("the JSON cannot be used"));
         assert_eq!(parse(b"{}").unwrap_err().message, "`width` is missing");
+    }
+
+    #[test]
+    fn what_says_that_there_is_no_lens_is_none() {
+        for (key, value) in
+            [("dist_coeffs", "[0, 0, 0, 0]"), ("distortion_model", "\"plumb_bob\""), ("D", "[]"), ("date", "\"today\"")]
+        {
+            assert!(with(key, value).is_ok(), "{key}");
+        }
+    }
+
+    #[test]
+    fn numbers_of_images_of_another_size_are_told_by_their_middle() {
+        for (scale, told) in [(2.0, "divide fx, fy, cx and cy by 2"), (0.5, "by 0.5"), (1.2, ""), (0.9, "")] {
+            let text = GOOD
+                .replace("180", &(180.0 * scale).to_string())
+                .replace("\"cy\": 320", &format!("\"cy\": {}", 320.0 * scale));
+            match parse(text.as_bytes()) {
+                Err(error) => assert!(!told.is_empty() && error.expected.contains(told), "{error}"),
+                Ok(_) => assert!(told.is_empty(), "{scale}"),
+            }
+        }
+        assert!(with("cx", "340").is_ok(), "of images that were cut at one side");
     }
 
     #[test]

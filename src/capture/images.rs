@@ -33,6 +33,14 @@ impl ImageStream {
         self.archive.ignored
     }
 
+    pub fn gap(&self) -> Option<u64> {
+        self.archive.gap()
+    }
+
+    pub fn name(&self, index: usize) -> String {
+        self.archive.name(index)
+    }
+
     /// The next picture; decoded only where it is wanted, else its header alone is read.
     pub fn next(&mut self, want: bool) -> Result<Option<Picture>, CaptureError> {
         let index = self.next;

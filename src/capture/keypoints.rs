@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use serde::Deserializer as _;
@@ -22,14 +22,63 @@ pub(super) struct Keypoints {
     pub given: Format,
     /// `[N]` frames of people of `format.points` points each. A frame may have nobody.
     pub frames: Vec<Vec<Vec<Point>>>,
+    /// Width and height of the pictures that they are of, where the file tells.
+    pub canvas: Option<[f64; 2]>,
+    /// The first number that the names of a zip's files leave out.
+    pub gap: Option<u64>,
     pub warnings: Vec<String>,
 }
 
 /// Reads keypoints of either kind, told apart by content.
 pub(super) fn read(path: &Path) -> Result<Keypoints, CaptureError> {
     let mut keypoints = if archive::is_zip(path)? { openpose::read(path)? } else { read_json(path)? };
+    keypoints.check_confidences()?;
     keypoints.frames.iter_mut().flatten().flatten().for_each(settle_confidence);
     Ok(keypoints)
+}
+
+impl Keypoints {
+    /// Numbers in place of a confidence that are none, as depths: they would say at random who is trusted.
+    fn check_confidences(&mut self) -> Result<(), BadInput> {
+        // Some detectors write −1 for what they have not found.
+        let given = self.frames.iter().flatten().flatten().filter(|p| (p[0], p[1]) != (0.0, 0.0) && p[2] != -1.0);
+        let (mut count, mut below, mut above, mut most) = (0, 0, 0, 0.0f64);
+        for point in given {
+            count += 1;
+            below += usize::from(point[2] < 0.0);
+            above += usize::from(point[2] > 1.5);
+            most = most.max(point[2]);
+        }
+        if 20 * below > count {
+            let message = format!("{below} of {count} confidences are below 0");
+            let expected =
+                "as the third number of a point how sure it is, from 0 to 1 (MediaPipe's `visibility`, not its `z`)";
+            return Err(BadInput::new(Part::Keypoints, message, expected));
+        }
+        if 2 * above > count {
+            self.warnings.push(format!("keypoints: confidences reach {most}: all above 1 count as 1"));
+        }
+        Ok(())
+    }
+
+    /// Brings points of pictures of another size to the video's.
+    pub fn fit_canvas(&mut self, width: u32, height: u32, warnings: &mut Vec<String>) -> Result<(), BadInput> {
+        let Some([across, down]) = self.canvas else { return Ok(()) };
+        let scale = [f64::from(width) / across, f64::from(height) / down];
+        if scale == [1.0, 1.0] {
+            return Ok(());
+        }
+        // Tools round the sides to what their networks take.
+        if !(0.8..=1.25).contains(&(scale[0] / scale[1])) {
+            let message = format!("they are of {across}×{down} pictures");
+            return Err(BadInput::new(Part::Keypoints, message, format!("{width}×{height}, as the video")));
+        }
+        for point in self.frames.iter_mut().flatten().flatten() {
+            (point[0], point[1]) = (scale[0] * point[0], scale[1] * point[1]);
+        }
+        warnings.push(format!("keypoints: they are of {across}×{down} pictures and were brought to {width}×{height}"));
+        Ok(())
+    }
 }
 
 /// Brings a confidence into [0, 1]. A point in the picture's very corner was not seen: detectors that leave an uncertain point
@@ -48,7 +97,19 @@ fn read_json(path: &Path) -> Result<Keypoints, CaptureError> {
         let limit = format!("at most {} bytes", limits::KEYPOINTS_BYTES);
         return Err(BadInput::new(Part::Keypoints, "the file is too large", limit).into());
     }
-    Ok(parse_json(BufReader::new(file))?)
+    let mut reader = BufReader::new(file);
+    let head = reader.fill_buf().map_err(open)?;
+    let marked = head.len() - plain_text(head)?.len();
+    reader.consume(marked);
+    Ok(parse_json(reader)?)
+}
+
+/// A text, or its beginning, without the mark that tools on Windows put before it.
+pub(super) fn plain_text(bytes: &[u8]) -> Result<&[u8], BadInput> {
+    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
+        return Err(BadInput::new(Part::Keypoints, "the text is UTF-16", "JSON in UTF-8"));
+    }
+    Ok(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes))
 }
 
 /// Where in the file the parser is.
@@ -79,7 +140,7 @@ pub(super) fn parse_json(reader: impl std::io::Read) -> Result<Keypoints, BadInp
     // A detector that saw nobody wrote no points.
     let people = |frame: Vec<Point>| if frame.is_empty() { Vec::new() } else { vec![format.to_used(frame)] };
     let frames = frames.into_iter().map(people).collect();
-    Ok(Keypoints { format: format.used(), given: format, frames, warnings: Vec::new() })
+    Ok(Keypoints { format: format.used(), given: format, frames, canvas: None, gap: None, warnings: Vec::new() })
 }
 
 /// A parser's error, with the frame and the point that it was at.

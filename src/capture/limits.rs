@@ -16,6 +16,17 @@ pub(super) const ZIP_TOTAL_BYTES: u64 = 16 << 30;
 pub(super) const ZIP_RATIO: u64 = 200;
 pub(super) const IMAGE_BYTES: u64 = 128 << 20;
 
+/// The most bytes of the parts that are read whole, for those who take them.
+pub struct MostBytes {
+    /// JSON, or a zip of it, which may be as large.
+    pub keypoints: u64,
+    pub camera: u64,
+    pub poses: u64,
+}
+
+pub const MOST_BYTES: MostBytes = MostBytes { keypoints: 256 << 20, camera: CAMERA_BYTES, poses: POSES_BYTES };
+
+/// Of JSON.
 pub(super) const KEYPOINTS_BYTES: u64 = 64 << 20;
 pub(super) const OPENPOSE_FRAME_BYTES: u64 = 1 << 20;
 pub(super) const PEOPLE: usize = 64;

@@ -31,6 +31,7 @@ pub use calibration::read as read_camera;
 pub use clip::{CaptureInputs, CaptureOptions, GoOn, Inspection, inspect};
 pub use confine::Confinement;
 pub use error::{BadInput, CaptureError, Part};
+pub use limits::{MOST_BYTES, MostBytes};
 pub use masks::masks;
 
 use crate::camera::Camera;

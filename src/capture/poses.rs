@@ -9,8 +9,11 @@ use crate::npz::{Array, Npz};
 
 const EXPECTED: &str = "an npz with `poses` [N, 72] and `trans` or `pelvis` [N, 3], and optional `betas`";
 
-/// Poses in degrees and places in millimetres show as numbers that no body reaches.
-const MOST: f64 = 1000.0;
+/// Poses in degrees and places in centimetres show as numbers that no body reaches: four turns, and 100 m.
+const MOST_RADIANS: f64 = 8.0 * std::f64::consts::PI;
+const MOST_METRES: f64 = 100.0;
+/// Of a shape coefficient.
+const MOST_BETA: f64 = 1000.0;
 
 /// Poses of all frames, and what was odd about them.
 pub(super) fn read(path: &Path) -> Result<(KnownPoses, Vec<String>), CaptureError> {
@@ -36,7 +39,7 @@ fn parse(npz: &Npz) -> Result<(KnownPoses, Vec<String>), BadInput> {
         [n, width @ (66 | 72 | 156 | 165)] => (n, width),
         _ => return Err(bad(format!("`poses` has shape {:?}", poses.shape), "[N, 72]")),
     };
-    check_rows("poses", poses, width)?;
+    check_rows("poses", poses, width, MOST_RADIANS, "radians")?;
     if width != 72 {
         warnings.push(format!("poses: {width} values a frame: the first 66 are taken and the hands left straight"));
     }
@@ -54,7 +57,7 @@ fn parse(npz: &Npz) -> Result<(KnownPoses, Vec<String>), BadInput> {
     if trans.shape != [count, 3] {
         return Err(bad(format!("`{name}` has shape {:?}", trans.shape), format!("[{count}, 3], one row a pose")));
     }
-    check_rows(name, trans, 3)?;
+    check_rows(name, trans, 3, MOST_METRES, "metres")?;
     let trans = trans.data.chunks_exact(3).map(|t| [t[0] as f32, t[1] as f32, t[2] as f32]).collect();
     let betas = npz.arrays.get("betas").map(betas).transpose()?;
     Ok((KnownPoses { poses: rows, trans, is_pelvis, betas }, warnings))
@@ -69,11 +72,11 @@ fn missing(npz: &Npz, names: &[&str]) -> BadInput {
     }
 }
 
-fn check_rows(name: &str, array: &Array, width: usize) -> Result<(), BadInput> {
+fn check_rows(name: &str, array: &Array, width: usize, most: f64, unit: &str) -> Result<(), BadInput> {
     for (i, value) in array.data.iter().enumerate() {
-        if !value.is_finite() || value.abs() > MOST {
+        if !value.is_finite() || value.abs() > most {
             let message = format!("`{name}` holds {value}");
-            return Err(bad(message, "finite radians and metres").at(i / width));
+            return Err(bad(message, format!("{unit}, at most {most:.0}")).at(i / width));
         }
     }
     Ok(())
@@ -85,7 +88,7 @@ fn betas(array: &Array) -> Result<Vec<f32>, BadInput> {
     if !(1..=2).contains(&array.shape.len()) || width == 0 || width > 400 || array.data.is_empty() {
         return Err(bad(format!("`betas` has shape {:?}", array.shape), "[B] with at most 400 numbers"));
     }
-    if array.data.iter().any(|value| !value.is_finite() || value.abs() > MOST) {
+    if array.data.iter().any(|value| !value.is_finite() || value.abs() > MOST_BETA) {
         return Err(bad("`betas` holds a number that is not finite or far too large", "shape coefficients"));
     }
     let rows = array.data.len() / width;

@@ -116,6 +116,30 @@ impl Source {
         Ok(picture)
     }
 
+    /// Files of a zip that are no images.
+    pub fn ignored(&self) -> usize {
+        match &self.stream {
+            Stream::Images(images) => images.ignored(),
+            Stream::Video(_) | Stream::Some { .. } => 0,
+        }
+    }
+
+    /// The first number that the names of a zip's images leave out.
+    pub fn gap(&self) -> Option<u64> {
+        match &self.stream {
+            Stream::Images(images) => images.gap(),
+            Stream::Video(_) | Stream::Some { .. } => None,
+        }
+    }
+
+    /// What is wrong with an image of a zip, with the name of its file.
+    pub fn named(&self, index: usize, mut bad: BadInput) -> BadInput {
+        if let Stream::Images(images) = &self.stream {
+            bad.message = format!("{} (`{}`)", bad.message, images.name(index));
+        }
+        bad
+    }
+
     /// What the decoder complained of, once the stream has ended.
     pub fn damage(&self) -> Option<&str> {
         match &self.stream {

@@ -6,16 +6,16 @@ use std::process::Command;
 use anyhow::{Result, bail};
 use effigy::body::Body;
 use effigy::capture::Confinement;
-use effigy::config::{Auth, Bytes, Config, Value};
+use effigy::config::{Bytes, Config, Value};
 use effigy::data_dir::body_path_in;
 use effigy::gpu::{DeviceSelect, Gpu};
+use effigy::http::Openness;
 use effigy::jobs::Env;
-use effigy::jobs::keys::Keys;
 use effigy::jobs::sqlite::backup::examine;
 use effigy::storage::Store;
 use serde::Serialize;
 
-use super::service::{open_queue, policy};
+use super::service::{self, KeysFound, open_queue, policy};
 use super::settings::ServerSettings;
 
 #[derive(clap::Args)]
@@ -61,13 +61,20 @@ impl Check {
     }
 }
 
-/// Free space below which an upload of usual size may not fit.
+/// Free space beside the reserve below which an upload of usual size may not fit.
 const LITTLE_SPACE: u64 = 5 << 30;
 
 pub fn run(args: Args) -> Result<()> {
     let in_force = args.settings.resolve()?;
     let data = in_force.config.data_dir();
-    let mut checks = vec![device(), tool("ffmpeg"), tool("ffprobe"), decoder(), disk(&data), body(&data)];
+    let mut checks = vec![
+        device(),
+        tool("ffmpeg"),
+        tool("ffprobe"),
+        decoder(),
+        disk(&data, in_force.config.disk_reserve_bytes.0),
+        body(&data),
+    ];
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     checks.extend(runtime.block_on(database(&data, &in_force.config)));
     let failed = checks.iter().filter(|check| check.state == State::Failed).count();
@@ -142,7 +149,7 @@ fn decoder() -> Check {
     Check::warning("decoder", found, mend)
 }
 
-fn disk(data: &Path) -> Check {
+fn disk(data: &Path, reserve: u64) -> Check {
     let mend = "give the user who runs the service a folder that it may write (setting data_dir)";
     let store = match Store::open(data) {
         Ok(store) => store,
@@ -155,10 +162,13 @@ fn disk(data: &Path) -> Check {
         Err(error) => Check::failed("disk", format!("{}: {error}", data.display()), mend),
         Ok(free) => {
             let found = format!("{:.1} GiB free in {}", free as f64 / (1u64 << 30) as f64, data.display());
-            if free < LITTLE_SPACE {
+            let little = reserve.saturating_add(LITTLE_SPACE);
+            if free < little {
                 let mend = format!(
-                    "make room, or set retain_days and start the service anew; below {} uploads may not fit",
-                    Bytes(LITTLE_SPACE).text()
+                    "make room, or set retain_days and start the service anew; {} are kept free (disk_reserve_bytes), and with \
+                     less than {} uploads may not fit",
+                    Bytes(reserve).text(),
+                    Bytes(little).text()
                 );
                 return Check::warning("disk", found, mend);
             }
@@ -184,28 +194,15 @@ fn body(data: &Path) -> Check {
 /// The database, and whether a server would start on it.
 async fn database(data: &Path, config: &Config) -> Vec<Check> {
     let path = data.join("effigy.db");
-    let keys =
-        format!("make a key (effigy keys create NAME), listen on 127.0.0.1 instead of {}, or set auth", config.listen);
-    let wide = config.auth == Auth::Auto && !config.listen.ip().is_loopback();
-    let access = |living: bool, any: bool| match (wide, living, any) {
-        (true, false, _) => Check::failed("access", "others can reach the server and there is no key", keys),
-        (_, true, _) => Check::ok("access", "callers need a key"),
-        (_, false, true) => Check::warning(
-            "access",
-            "callers need a key, and all keys are revoked or have expired",
-            "make one (effigy keys create NAME)",
-        ),
-        _ => Check::ok("access", format!("auth = {:?}, no keys, {}", config.auth.text(), config.listen)),
-    };
     let restore = "stop the service, move effigy.db* and jobs away, and restore a backup (docs/operating.md)";
     if !path.exists() {
-        // As the server does, which does not start then.
-        let jobs = std::fs::read_dir(data.join("jobs")).map_or(0, |jobs| jobs.flatten().count());
+        // The server does not start then.
+        let jobs = Store::open(data).and_then(|store| store.job_folders()).map_or(0, |jobs| jobs.len());
         let found = match jobs {
             0 => Check::ok("database", "none yet; the first start makes it"),
             _ => Check::failed("database", format!("it is missing, and there are files of {jobs} jobs"), restore),
         };
-        return vec![found, access(false, false)];
+        return vec![found, access(config, KeysFound { living: false, any: false })];
     }
     match examine(&path).await {
         Err(error) => return vec![Check::failed("database", error.to_string(), restore)],
@@ -225,9 +222,36 @@ async fn database(data: &Path, config: &Config) -> Vec<Check> {
     match open_queue(&store, &Env::system(), policy(config)).await {
         Err(error) => vec![Check::failed("database", format!("{error:#}"), restore)],
         Ok(queue) => {
-            let living = queue.any_living_key().await.unwrap_or(false);
-            let any = queue.any_key().await.unwrap_or(false);
-            vec![Check::ok("database", format!("{}, whole", path.display())), access(living, any)]
+            let whole = Check::ok("database", format!("{}, whole", path.display()));
+            match KeysFound::of(queue.as_ref()).await {
+                Ok(keys) => vec![whole, access(config, keys)],
+                Err(error) => vec![Check::failed("database", format!("{error:#}"), restore)],
+            }
         }
+    }
+}
+
+/// Who could call a server with these settings.
+fn access(config: &Config, keys: KeysFound) -> Check {
+    let make = "make a key (effigy keys create NAME)";
+    match service::openness(config, keys) {
+        None => Check::failed(
+            "access",
+            "others can reach the server and there is no key",
+            format!("{make}, listen on 127.0.0.1 instead of {}, or set auth", config.listen),
+        ),
+        Some(Openness::Keys) if keys.living => Check::ok("access", "callers need a key"),
+        Some(Openness::Keys) if keys.any => {
+            Check::warning("access", "callers need a key, and all keys are revoked or have expired", make)
+        }
+        Some(Openness::Keys) => Check::warning("access", "callers need a key, and there is none", make),
+        Some(Openness::Local) => {
+            Check::ok("access", format!("no keys: whoever is on this machine may call ({})", config.listen))
+        }
+        Some(Openness::Open) => Check::warning(
+            "access",
+            format!("whoever reaches {} may do everything, with a key or without", config.listen),
+            "set auth to \"auto\" or \"keys\" unless something before the server asks who comes",
+        ),
     }
 }

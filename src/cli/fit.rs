@@ -125,6 +125,10 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
     })?;
     let part = |given: &Option<PathBuf>, name: &str| -> anyhow::Result<Option<PathBuf>> {
         match (given, &args.clip) {
+            (Some(path), _) if path.is_dir() => {
+                bail!("{name}: {} is a folder: make a zip of its files", path.display())
+            }
+            (Some(path), _) if !path.exists() => bail!("{name}: there is no {}", path.display()),
             (Some(path), _) => Ok(Some(path.clone())),
             (None, Some(folder)) => find(folder, name),
             (None, None) => Ok(None),
@@ -138,7 +142,7 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
         masks: needed(&args.masks, "masks")?,
         keypoints: needed(&args.keypoints, "keypoints")?,
         camera: part(&args.camera, "camera")?,
-        poses: args.poses.clone(),
+        poses: args.poses.as_ref().map(|path| part(&Some(path.clone()), "poses")).transpose()?.flatten(),
     };
     Ok(PipelineInput { files, options })
 }

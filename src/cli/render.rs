@@ -11,6 +11,7 @@ use effigy::body::N_POSE;
 use effigy::camera::Camera;
 use effigy::capture::read_camera;
 use effigy::gpu::{DeviceSelect, Gpu};
+use effigy::jobs::render::hex_colour;
 use effigy::npz::Npz;
 use glam::{Quat, Vec3};
 use image::{DynamicImage, RgbaImage};
@@ -53,10 +54,8 @@ fn background(text: &str) -> Result<Background, String> {
     if text == "transparent" {
         return Ok(Background::Transparent);
     }
-    let digits = text.strip_prefix('#').filter(|d| d.len() == 6);
-    let value = digits.and_then(|d| u32::from_str_radix(d, 16).ok());
-    let value = value.ok_or_else(|| format!("`{text}` is neither `transparent` nor `#rrggbb`"))?;
-    Ok(Background::Colour([(value >> 16) as u8, (value >> 8) as u8, value as u8]))
+    let colour = hex_colour(text).ok_or_else(|| format!("`{text}` is neither `transparent` nor `#rrggbb`"))?;
+    Ok(Background::Colour(colour))
 }
 
 pub fn run(args: Args) -> Result<()> {
@@ -92,19 +91,14 @@ pub fn run(args: Args) -> Result<()> {
 }
 
 fn camera(args: &Args, model: &AvatarModel) -> Result<Camera> {
-    let mut camera = match &args.camera {
+    let camera = match &args.camera {
         None => model.camera.clone(),
         Some(path) => read_camera(path).with_context(|| path.display().to_string())?,
     };
-    if let Some(size) = args.size {
-        let scale = size as f64 / camera.width.max(camera.height) as f64;
-        let side = |s: u32| ((s as f64 * scale).round() as u32).max(1);
-        (camera.width, camera.height) = (side(camera.width), side(camera.height));
-        for value in [&mut camera.fx, &mut camera.fy, &mut camera.cx, &mut camera.cy] {
-            *value *= scale;
-        }
-    }
-    Ok(camera)
+    let Some(size) = args.size else { return Ok(camera) };
+    let scale = f64::from(size) / f64::from(camera.width.max(camera.height));
+    let side = |s: u32| ((f64::from(s) * scale).round() as u32).max(1);
+    Ok(camera.scaled(side(camera.width), side(camera.height)))
 }
 
 type Shot = (String, Pose, Place);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use effigy::config::{Auth, Config};
+use effigy::config::Config;
 use effigy::http::{Access, App, ClipInspector, Limits, Openness};
 use effigy::jobs::keys::Keys;
 use effigy::jobs::render::{NoRenderer, Renderer};
@@ -15,7 +15,7 @@ use effigy::storage::Store;
 use effigy::webhooks::{Courier, Sender, system_lookup};
 use effigy::worker::{Reaper, Supervisor, SupervisorSettings};
 
-use super::service::{asked_to_end, open_queue, open_with_reserve, policy, start_log};
+use super::service::{self, KeysFound, asked_to_end, open_queue, open_with_reserve, policy, start_log};
 use super::settings::{InForce, ServerSettings};
 
 #[derive(clap::Args)]
@@ -137,30 +137,24 @@ async fn clean(store: &Store, queue: &dyn Queue) -> Result<()> {
     store.clean(&known).context("cleaning the data folder")
 }
 
-/// Whom the server listens to. What others can reach does not open by mistake.
+/// Whom the server listens to, and a word where that is everybody or nobody.
 async fn openness(config: &Config, keys: &dyn Keys) -> Result<Openness> {
-    let any = keys.any_living_key().await?;
-    match config.auth {
-        Auth::Open => {
-            tracing::warn!("whoever reaches {} may do everything: auth = \"open\"", config.listen);
-            Ok(Openness::Open)
-        }
-        Auth::Auto if config.listen.ip().is_loopback() => {
-            Ok(if keys.any_key().await? { Openness::Keys } else { Openness::Local })
-        }
-        Auth::Auto if !any => bail!(
+    let found = KeysFound::of(keys).await?;
+    let Some(openness) = service::openness(config, found) else {
+        bail!(
             "others can reach {} and there is no key: make one (effigy keys create NAME), listen on 127.0.0.1, or set \
              auth to \"open\"",
             config.listen
-        ),
-        Auth::Auto => Ok(Openness::Keys),
-        Auth::Keys => {
-            if !any {
-                tracing::warn!("there is no key yet, so nobody can call (effigy keys create NAME)");
-            }
-            Ok(Openness::Keys)
+        );
+    };
+    match openness {
+        Openness::Open => tracing::warn!("whoever reaches {} may do everything: auth = \"open\"", config.listen),
+        Openness::Keys if !found.living => {
+            tracing::warn!("no key opens anything, so nobody can call (effigy keys create NAME)");
         }
+        Openness::Keys | Openness::Local => {}
     }
+    Ok(openness)
 }
 
 /// This very program, as a worker on the same data.

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
-use effigy::config::{Config, LogFormat};
+use effigy::config::{Auth, Config, LogFormat};
+use effigy::http::Openness;
+use effigy::jobs::keys::Keys;
 use effigy::jobs::sqlite::SqliteQueue;
 use effigy::jobs::{Env, Policy};
 use effigy::storage::Store;
@@ -22,6 +24,32 @@ use super::settings::InForce;
 pub fn policy(config: &Config) -> Policy {
     let retention = config.retain_days.map(|days| Duration::from_secs(u64::from(days) * 86_400));
     Policy { retention, max_queued: config.max_queued.into(), ..Policy::default() }
+}
+
+/// What keys there are.
+#[derive(Clone, Copy)]
+pub struct KeysFound {
+    /// One that opens something.
+    pub living: bool,
+    /// Any, ended ones too.
+    pub any: bool,
+}
+
+impl KeysFound {
+    pub async fn of(keys: &dyn Keys) -> Result<KeysFound> {
+        Ok(KeysFound { living: keys.any_living_key().await?, any: keys.any_key().await? })
+    }
+}
+
+/// Whom a server listens to. What others can reach does not open by mistake: `None` where it would without a key, and no
+/// server starts.
+pub fn openness(config: &Config, keys: KeysFound) -> Option<Openness> {
+    match config.auth {
+        Auth::Open => Some(Openness::Open),
+        Auth::Auto if config.listen.ip().is_loopback() && !keys.any => Some(Openness::Local),
+        Auth::Auto if !config.listen.ip().is_loopback() && !keys.living => None,
+        Auth::Auto | Auth::Keys => Some(Openness::Keys),
+    }
 }
 
 /// Logs to standard error, and sends spans where a collector is set: until what is returned is dropped.

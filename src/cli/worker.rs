@@ -25,9 +25,6 @@ pub struct Args {
 #[cfg(unix)]
 const NICENESS: libc::c_int = 10;
 
-/// How long a fit may take to write its checkpoint and stop.
-const GRACE: Duration = Duration::from_secs(60);
-
 pub fn run(args: Args) -> Result<()> {
     if args.renders_on_stdio {
         lower_priority();
@@ -83,7 +80,7 @@ async fn work(config: &Config, renders_on_stdio: bool) -> Result<()> {
 /// Comes some time after the wish to end. A fit that hangs would otherwise keep its lease and the device for ever.
 async fn overdue(mut stopped: watch::Receiver<bool>) {
     if stopped.wait_for(|stopped| *stopped).await.is_ok() {
-        tokio::time::sleep(GRACE).await;
+        tokio::time::sleep(worker::STOP_GRACE).await;
     }
 }
 

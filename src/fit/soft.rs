@@ -6,10 +6,6 @@ use crate::camera::Camera;
 use crate::gpu::{Buffer, Recorder};
 use crate::ops::soft_rasterize::{SoftRasterizeParams, SoftRasterizer};
 
-/// Entries of all tile lists for a face: enough for a reach of 12 pixels around small triangles
-/// ([`SoftRasterizer::list_capacity`]). Tiles whose lists do not fit would be right, but hundreds of times slower.
-const LIST_ENTRIES_PER_FACE: usize = 64;
-
 /// The soft rasteriser with the gradients that its images receive.
 pub struct SoftTerm {
     rasterizer: SoftRasterizer,
@@ -19,7 +15,8 @@ pub struct SoftTerm {
 impl SoftTerm {
     pub fn new(scene: &Scene) -> Self {
         let (gpu, n) = (&scene.gpu, scene.max_pixels);
-        let entries = scene.corners.n_faces() * LIST_ENTRIES_PER_FACE;
+        // Tiles whose lists do not fit would be right, but hundreds of times slower.
+        let entries = SoftRasterizer::list_capacity(scene.corners.n_faces(), n);
         Self {
             rasterizer: SoftRasterizer::new(gpu, &scene.corners, n, entries),
             grad_rgb: gpu.zeros("fit/grad_soft_rgb", n * 3),

@@ -156,6 +156,14 @@ fn exact_add(buffer: &str, wide: bool, out: &mut String) {
     write!(out, "fn {buffer}_add(i: u32, value: f32) {{\n    let words = exact_words(value);\n{body}}}\n").unwrap();
 }
 
+/// A number that a shared source states, for tests that the host's is the same: nothing checks what shaders index by it.
+#[cfg(test)]
+pub(crate) fn shared_constant(source: &str, name: &str) -> usize {
+    let (_, text) = SHARED.iter().find(|(shared, _)| *shared == source).unwrap();
+    let (_, rest) = text.split_once(&format!("const {name}: u32 = ")).unwrap();
+    rest.split_once("u;").unwrap().0.parse().unwrap()
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::adapters::NEEDS;
@@ -206,8 +214,7 @@ mod tests {
     /// The host and shaders both spread workgroups over x and y, and one reads back what the other spread.
     #[test]
     fn rows_of_workgroups_are_as_long_here_as_there() {
-        let (_, source) = SHARED.iter().find(|(name, _)| *name == "shared/linear_groups").unwrap();
-        assert!(source.contains(&format!("const ROW: u32 = {}u;", crate::gpu::recorder::ROW)), "{source}");
+        assert_eq!(shared_constant("shared/linear_groups", "ROW"), crate::gpu::recorder::ROW as usize);
     }
 
     /// Adapters that open have what every kernel needs, and none is refused for more than that.

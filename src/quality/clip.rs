@@ -21,7 +21,7 @@ const LIMBS_NEEDED: usize = 8;
 const CUT_PX: usize = 3;
 /// Of the person's area.
 const BLOB: f64 = 0.01;
-/// Of the area, at least; and in multiples of the clip's own unrest.
+/// Of the area.
 const JUMP: f64 = 0.035;
 /// With fewer frames a turn, arms that pass the outline change the area as much from frame to frame.
 const FRAMES_FOR_JUMPS: usize = 48;

@@ -105,10 +105,8 @@ pub struct ImageTerms {
 impl ImageTerms {
     pub fn new(gpu: &Gpu, corners: &Arc<Corners>, views: &[View], objective: Objective) -> Self {
         let n = views.iter().map(|v| v.camera.n_pixels()).max().unwrap_or(1);
-        let side = views.iter().map(|v| v.camera.width.max(v.camera.height)).max().unwrap_or(1);
         let soft = objective.soft_rgb.map(|soft| {
-            let reach = SoftRasterizeParams { sigma: soft.sigma, ..SoftRasterizeParams::new(side, side) }.reach_px();
-            let entries = SoftRasterizer::list_capacity(corners.n_faces(), reach);
+            let entries = SoftRasterizer::list_capacity(corners.n_faces(), n);
             (soft, SoftRasterizer::new(gpu, corners, n, entries))
         });
         Self {
@@ -124,7 +122,7 @@ impl ImageTerms {
             rgb: RgbL1::new(gpu, n),
             iou: SilhouetteIou::new(gpu),
             image: gpu.zeros("study/image", n * 3),
-            grad_image: gpu.zeros("study/grad_image", n * 3),
+            grad_image: gpu.zeros("study/grad_image", RgbL1::room(n)),
             grad_alpha: gpu.zeros("study/grad_alpha", n),
             grad_soft: gpu.zeros("study/grad_soft", n * 3),
             grad_face_colours: gpu.zeros("study/grad_face_colours", corners.n_faces() * 3),

@@ -50,7 +50,7 @@ impl SupervisorSettings {
             silence: Duration::from_secs(660),
             backoff: Duration::from_millis(500),
             backoff_max: Duration::from_secs(30),
-            grace: Duration::from_secs(30),
+            grace: super::STOP_GRACE + Duration::from_secs(10),
         }
     }
 }

@@ -91,8 +91,40 @@ fn a_machine_that_has_all_is_well() {
         let mut keys = crate::program::effigy();
         assert!(keys.args(arguments).arg("--data-dir").arg(data.path()).output().unwrap().status.success());
     }
-    let (_, report) = doctor(data.path(), |_| {});
-    assert_eq!(check(&report, "access")["state"], "warning", "nobody gets in: {report}");
+    // As a server would take callers.
+    let access = |arguments: &[&str]| {
+        let (_, report) = doctor(data.path(), |command| {
+            command.args(arguments);
+        });
+        let access = check(&report, "access");
+        (access["state"].as_str().unwrap().to_string(), access["found"].as_str().unwrap().to_string())
+    };
+    let says = |arguments: &[&str], state: &str, found: &str| {
+        let (had, said) = access(arguments);
+        assert!(had == state && said.contains(found), "{arguments:?}: {had}, {said}");
+    };
+    says(&[], "warning", "all keys are revoked");
+    says(&["--auth=open"], "warning", "with a key or without");
+    says(&["--auth=keys"], "warning", "all keys are revoked");
+    says(&["--listen=0.0.0.0:8080"], "failed", "no key");
+    let (_, report) = doctor(data.path(), |command| {
+        command.arg("--disk-reserve-bytes=5000TiB");
+    });
+    assert_eq!(check(&report, "disk")["state"], "warning", "no upload has room: {report}");
+}
+
+#[test]
+fn what_is_no_jobs_folder_is_no_job() {
+    let data = tempfile::tempdir().unwrap();
+    std::fs::create_dir(data.path().join("jobs")).unwrap();
+    std::fs::write(data.path().join("jobs/.DS_Store"), "").unwrap();
+    let (_, report) = doctor(data.path(), |command| {
+        command.arg("--auth=keys");
+    });
+    assert_eq!(check(&report, "database")["state"], "ok", "{report}");
+    assert_eq!(check(&report, "access")["found"], "callers need a key, and there is none");
+    std::fs::create_dir(data.path().join("jobs/0190a1b2-c3d4-7e5f-8a9b-0c1d2e3f4a5b")).unwrap();
+    assert_eq!(check(&doctor(data.path(), |_| {}).1, "database")["state"], "failed");
 }
 
 #[test]

@@ -169,7 +169,7 @@ mod tests {
     use crate::capture::keypoint_formats::COCO17;
 
     fn people(people: Vec<Vec<Point>>) -> Keypoints {
-        Keypoints { format: COCO17, given: COCO17, frames: vec![people], warnings: Vec::new() }
+        Keypoints { format: COCO17, given: COCO17, frames: vec![people], canvas: None, gap: None, warnings: Vec::new() }
     }
 
     #[test]

@@ -1,9 +1,11 @@
-//! What is looked at in every frame: whether the mask holds a person, and whether keypoints and poses are that person's.
+//! What is looked at in every frame: whether the mask holds a person, and whether keypoints and poses are that person's and stand as it does.
 
+mod figure;
 mod keypoints;
 mod masks;
 mod poses;
 
+pub(super) use figure::FigureCheck;
 pub(super) use keypoints::{KeypointCheck, check_not_normalised};
 pub(super) use masks::MaskCheck;
 pub(super) use poses::PoseCheck;

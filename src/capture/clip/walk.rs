@@ -1,10 +1,11 @@
 //! The walk through a clip: video and masks frame by frame, everything checked against everything.
 
+use std::fmt::Write as _;
 use std::time::Instant;
 
 use super::{CaptureInputs, GoOn};
 use crate::camera::Camera;
-use crate::capture::checks::{KeypointCheck, MaskCheck, PoseCheck, check_not_normalised};
+use crate::capture::checks::{FigureCheck, KeypointCheck, MaskCheck, PoseCheck, check_not_normalised};
 use crate::capture::keypoints::{Keypoints, Point};
 use crate::capture::rectify::{Rect, Rectify};
 use crate::capture::source::{Picture, Pixels, Source};
@@ -80,7 +81,7 @@ impl Clip {
         go_on: GoOn<'_>,
     ) -> Result<(), CaptureError> {
         let (mut mask_check, mut keypoint_check) = (MaskCheck::default(), KeypointCheck::default());
-        let mut pose_check = PoseCheck::default();
+        let (mut pose_check, mut figure_check) = (PoseCheck::default(), FigureCheck::default());
         loop {
             let index = self.video.count;
             let count = self.keypoints.frames.len();
@@ -104,10 +105,18 @@ impl Clip {
                         pose_check.look(index, poses, self.camera.as_ref(), bounds);
                     }
                     // Where the mask tells nobody, a detector may have found somebody else.
-                    self.points.push(match bounds {
+                    let points = match bounds {
                         Some(bounds) => keypoint_check.choose(index, &self.keypoints, &mask, bounds),
                         None => vec![[0.0; 3]; self.keypoints.format.points],
-                    });
+                    };
+                    let format = self.keypoints.format.name;
+                    if let Some(bounds) = bounds {
+                        figure_check.look(index, format, &points, &mask, bounds);
+                    }
+                    if let Some(poses) = known {
+                        figure_check.look_at_root(index, poses, self.camera.as_ref(), format, &points);
+                    }
+                    self.points.push(points);
                     if keep(index) {
                         visit(self.size, Still { index, image: &image, mask: &mask, bounds })?;
                     }
@@ -121,6 +130,7 @@ impl Clip {
         mask_check.finish(&mut self.warnings)?;
         keypoint_check.finish(&mut self.warnings)?;
         pose_check.finish(&mut self.warnings)?;
+        figure_check.finish(&mut self.warnings)?;
         Ok(())
     }
 
@@ -128,8 +138,9 @@ impl Clip {
     fn check_size(&mut self, index: usize, image: &Picture) -> Result<(), BadInput> {
         if index == 0 {
             self.size = (image.width, image.height);
+            self.keypoints.fit_canvas(image.width, image.height, &mut self.warnings)?;
             let Some(camera) = &self.camera else { return Ok(()) };
-            calibration::check_size(camera, image.width, image.height)?;
+            calibration::check_size(camera, image.width, image.height).map_err(|bad| self.video.named(index, bad))?;
             return Rectify::new(camera.clone(), u32::MAX).map(drop);
         }
         let (width, height) = self.size;
@@ -137,7 +148,8 @@ impl Clip {
             return Ok(());
         }
         let message = format!("the image is {}×{}", image.width, image.height);
-        Err(BadInput::new(Part::Video, message, format!("{width}×{height}, as the first image")).at(index))
+        let bad = BadInput::new(Part::Video, message, format!("{width}×{height}, as the first image")).at(index);
+        Err(self.video.named(index, bad))
     }
 
     fn check_mask_size(&self, index: usize, mask: &Picture) -> Result<(), BadInput> {
@@ -147,7 +159,21 @@ impl Clip {
         }
         let hint = if (mask.height, mask.width) == self.size { ", turned against the video" } else { "" };
         let message = format!("the mask is {}×{}{hint}", mask.width, mask.height);
-        Err(BadInput::new(Part::Masks, message, format!("{width}×{height}, as the video")).at(index))
+        let bad = BadInput::new(Part::Masks, message, format!("{width}×{height}, as the video")).at(index);
+        Err(self.masks.named(index, bad))
+    }
+
+    /// What makes another count of frames, usually.
+    fn advice(&self, part: Part) -> &'static str {
+        match part {
+            Part::Keypoints => "; `[]`, or a file without people, for one in which nobody was found",
+            Part::Poses => "",
+            // A tool that writes at a constant rate doubles and drops frames of a phone's video.
+            _ if self.video.fps.is_some() => {
+                "; `ffmpeg -i video -fps_mode passthrough frames/%05d.png` takes it apart frame by frame"
+            }
+            _ => "",
+        }
     }
 
     fn check_counts(&mut self) -> Result<(), BadInput> {
@@ -173,13 +199,18 @@ impl Clip {
         match odd {
             None => Ok(()),
             Some((part, count)) => {
-                let message = format!("there are {count} frames of {part}, the video has {frames}");
-                let mut expected = format!("{frames}, one for each frame of the video");
-                // A tool that writes at a constant rate doubles and drops frames of a phone's video.
-                if self.video.fps.is_some() {
-                    expected.push_str(
-                        "; `ffmpeg -i video -fps_mode passthrough frames/%05d.png` takes it apart frame by frame",
-                    );
+                let mut message = format!("there are {count} frames of {part}, the video has {frames}");
+                let expected = format!("{frames}, one for each frame of the video{}", self.advice(part));
+                let (ignored, gap) = match part {
+                    Part::Masks => (self.masks.ignored(), self.masks.gap()),
+                    Part::Keypoints => (0, self.keypoints.gap),
+                    _ => (0, None),
+                };
+                if ignored > 0 {
+                    let _ = write!(message, "; {ignored} files of the zip are no PNG or JPEG");
+                }
+                if let Some(gap) = gap {
+                    let _ = write!(message, "; the names of the zip's files leave out {gap}");
                 }
                 Err(BadInput::new(part, message, expected))
             }

@@ -165,6 +165,9 @@ fn keypoints_of_something_else() {
     assert_error(&clip, Part::Keypoints, None, "204 of 204 points lie far outside the images");
     clip.keypoints(moved(|[_, y, c]| [2.0, y, c]));
     assert_error(&clip, Part::Keypoints, None, "204 of 204 points lie off the masks");
+    clip.keypoints(moved(|[x, y, _]| [x, y, (x - 31.0) / 64.0]));
+    let error = clip.error();
+    assert!(error.message.contains("confidences are below 0") && error.expected.contains("not its `z`"), "{error}");
     clip.keypoints(moved(|[x, y, _]| [x, y, 0.0]));
     assert_error(&clip, Part::Keypoints, None, "no point of any frame has a confidence above 0");
 }
@@ -217,6 +220,21 @@ fn cameras_and_poses_of_another_clip() {
     npz.add("trans", &[5, 3], &[0.0f32; 15]).unwrap();
     clip.inputs.poses = clip.add("poses", npz.finish().unwrap().into_inner());
     assert_error(&clip, Part::Poses, None, "there are 5 frames of poses, the video has 12");
+    let of = |root: [f32; 3], trans: [f32; 3]| {
+        let mut pose = [0.0; 72];
+        pose[..3].copy_from_slice(&root);
+        let mut npz = NpzWriter::new(Cursor::new(Vec::new()));
+        npz.add("poses", &[COUNT, 72], &[pose; COUNT].concat()).unwrap();
+        npz.add("trans", &[COUNT, 3], &[trans; COUNT].concat()).unwrap();
+        npz.finish().unwrap().into_inner()
+    };
+    for (root, trans, message) in [
+        ([180.0, 0.0, 0.0], [0.0, 0.0, 3.0], "`poses` holds 180"),
+        ([3.1, 0.0, 0.0], [0.0, 0.0, 300.0], "`trans` holds 300"),
+    ] {
+        clip.inputs.poses = clip.add("poses", of(root, trans));
+        assert_error(&clip, Part::Poses, Some(0), message);
+    }
     clip.inputs.poses = clip.add("poses", "no archive");
     assert_error(&clip, Part::Poses, None, "not an npz archive");
 }

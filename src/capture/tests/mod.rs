@@ -421,7 +421,7 @@ fn a_rotation_tag_turns_the_images() {
     clip.video(&bytes);
     let error = clip.error();
     assert_eq!((error.part, error.frame), (Part::Masks, Some(0)));
-    assert_eq!(error.message, "the mask is 64×96, turned against the video");
+    assert_eq!(error.message, "the mask is 64×96, turned against the video (`masks/0.png`)");
     assert_eq!(error.expected, "96×64, as the video");
 
     // Turned clockwise by 90°: (x, y) goes to (95 − y, x).
@@ -450,7 +450,13 @@ fn a_rotation_tag_turns_the_images() {
 #[test]
 fn frames_are_thinned_and_scaled_with_their_keypoints_and_poses() {
     let mut clip = Clip::new();
-    let poses: Vec<f32> = (0..COUNT).flat_map(|i| [i as f32; 72]).collect();
+    // Upright before a camera whose y runs down.
+    let pose = |i: usize| {
+        let mut pose = [i as f32; 72];
+        pose[..3].copy_from_slice(&[std::f32::consts::PI, 0.0, 0.0]);
+        pose
+    };
+    let poses: Vec<f32> = (0..COUNT).flat_map(pose).collect();
     let mut npz = NpzWriter::new(Cursor::new(Vec::new()));
     npz.add("poses", &[COUNT, 72], &poses).unwrap();
     npz.add("trans", &[COUNT, 3], &[[0.0f32, 0.0, 3.0]; COUNT].concat()).unwrap();
@@ -468,7 +474,7 @@ fn frames_are_thinned_and_scaled_with_their_keypoints_and_poses() {
     assert_eq!(frame.keypoints[5], [(want[0] / 2.0) as f32, (want[1] / 2.0) as f32, 0.9]);
     let inside = frame.mask.iter().filter(|&&v| v == 255).count();
     assert!((300..=340).contains(&inside), "{inside} of 10×32 pixels");
-    assert_eq!(capture.poses.unwrap().poses.iter().map(|p| p[0]).collect::<Vec<_>>(), [0.0, 3.0, 6.0, 9.0]);
+    assert_eq!(capture.poses.unwrap().poses.iter().map(|p| p[3]).collect::<Vec<_>>(), [0.0, 3.0, 6.0, 9.0]);
     let inspection = inspect(&clip.inputs).unwrap();
     assert!(inspection.has_camera && inspection.has_poses);
 }
@@ -586,5 +592,51 @@ fn openpose_files_of_several_people() {
     clip.keypoints(zip((0..COUNT - 1).map(|i| (format!("{i}.json"), file(i).to_string().into()))));
     let error = clip.error();
     assert_eq!(error.message, "there are 11 frames of keypoints, the video has 12");
-    assert!(error.expected.starts_with("12, one for each frame of the video; `ffmpeg"), "{error}");
+    assert_eq!(
+        error.expected,
+        "12, one for each frame of the video; `[]`, or a file without people, for one in which nobody was found"
+    );
+    let with_a_gap = (0..COUNT).filter(|&i| i != 4);
+    clip.keypoints(zip(with_a_gap.map(|i| (format!("clip_{i:012}_keypoints.json"), file(i).to_string().into()))));
+    let message = "there are 11 frames of keypoints, the video has 12; the names of the zip's files leave out 4";
+    assert_eq!(clip.error().message, message);
+    let named = (0..COUNT).map(|i| match i {
+        3 => ("3_camera.json".to_owned(), br#"{"fx": 1}"#.to_vec()),
+        _ => (format!("{i}.json"), file(i).to_string().into_bytes()),
+    });
+    clip.keypoints(zip(named));
+    assert!(clip.error().message.starts_with("`3_camera.json`: the JSON cannot be used: missing field `people`"));
+}
+
+#[test]
+fn keypoints_of_pictures_of_another_size_are_brought_to_the_videos() {
+    let clip = Clip::new();
+    let file = |i: usize, scale: f64, canvas: [f64; 2]| {
+        let numbers: Vec<f64> = points(i).into_iter().flat_map(|[x, y, c]| [x * scale, y * scale, c]).collect();
+        let people = serde_json::json!([{ "pose_keypoints_2d": numbers }]);
+        serde_json::json!({ "people": people, "canvas_width": canvas[0], "canvas_height": canvas[1] })
+            .to_string()
+            .into_bytes()
+    };
+    let whole = |scale: f64, canvas: [f64; 2]| zip((0..COUNT).map(|i| (format!("{i}.json"), file(i, scale, canvas))));
+    clip.keypoints(whole(2.0, [128.0, 192.0]));
+    let capture = clip.load().unwrap();
+    assert_eq!(capture.frames[5].keypoints[2], points(5)[2].map(|v| v as f32));
+    assert_eq!(capture.warnings, ["keypoints: they are of 128×192 pictures and were brought to 64×96"]);
+    clip.keypoints(whole(1.0, [64.0, 96.0]));
+    assert!(clip.load().unwrap().warnings.is_empty());
+    clip.keypoints(whole(1.0, [96.0, 64.0]));
+    assert_eq!(clip.error().message, "they are of 96×64 pictures");
+}
+
+#[test]
+fn text_as_tools_on_windows_write_it_is_read() {
+    let mut clip = Clip::new();
+    let text = keypoint_json(&(0..COUNT).map(points).collect::<Vec<_>>());
+    clip.keypoints([b"\xef\xbb\xbf", text.as_bytes()].concat());
+    let camera = "\u{feff}{\"width\": 64, \"height\": 96, \"fx\": 80, \"fy\": 80, \"cx\": 32, \"cy\": 48}";
+    clip.inputs.camera = clip.add("camera", camera);
+    assert_is_the_clip(&clip.load().unwrap(), 12);
+    clip.keypoints([b"\xff\xfe".to_vec(), text.encode_utf16().flat_map(u16::to_le_bytes).collect()].concat());
+    assert_eq!(clip.error().message, "the text is UTF-16");
 }

@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use uuid::Uuid;
 
 use super::form::{Form, FormPart};
-use crate::capture::CaptureInputs;
+use crate::capture::{CaptureInputs, MOST_BYTES};
 use crate::http::access::Caller;
 use crate::http::app::{App, Limits};
 use crate::http::error::ApiError;
@@ -77,9 +77,9 @@ struct Kind {
 const KINDS: [Kind; 5] = [
     Kind { name: "video", required: true, limit_bytes: u64::MAX },
     Kind { name: "masks", required: true, limit_bytes: u64::MAX },
-    Kind { name: "keypoints", required: true, limit_bytes: 256 << 20 },
-    Kind { name: "camera", required: false, limit_bytes: 1 << 20 },
-    Kind { name: "poses", required: false, limit_bytes: 256 << 20 },
+    Kind { name: "keypoints", required: true, limit_bytes: MOST_BYTES.keypoints },
+    Kind { name: "camera", required: false, limit_bytes: MOST_BYTES.camera },
+    Kind { name: "poses", required: false, limit_bytes: MOST_BYTES.poses },
 ];
 const OPTIONS: &str = "options";
 const UPLOADS: &str = "uploads";
@@ -154,12 +154,12 @@ async fn receive_parts(form: &mut Form, store: &Store, limits: &Limits, hash: bo
             return Err(wrong_part(format!("the part {name:?} came twice"), &name));
         }
         if name == OPTIONS {
-            let json = read_small(part, &mut budget).await?;
+            let json = read_small(part, OPTIONS, &mut budget).await?;
             options = Some(JobOptions::parse(&json)?);
             continue;
         }
         if name == UPLOADS {
-            let json = read_small(part, &mut budget).await?;
+            let json = read_small(part, UPLOADS, &mut budget).await?;
             references = Some(parse_json(&json, UPLOADS)?);
             continue;
         }
@@ -326,10 +326,10 @@ async fn write_part(
     Ok(file.finish().await?)
 }
 
-async fn read_small(mut part: FormPart<'_>, budget: &mut Budget) -> Result<Vec<u8>, ApiError> {
+async fn read_small(mut part: FormPart<'_>, name: &str, budget: &mut Budget) -> Result<Vec<u8>, ApiError> {
     let mut content = Vec::new();
     while let Some(chunk) = part.chunk().await? {
-        budget.take(&chunk, OPTIONS, (content.len() + chunk.len()) as u64, OPTIONS_LIMIT_BYTES)?;
+        budget.take(&chunk, name, (content.len() + chunk.len()) as u64, OPTIONS_LIMIT_BYTES)?;
         content.extend_from_slice(&chunk);
     }
     Ok(content)

@@ -6,7 +6,7 @@ use crate::camera::Camera;
 use crate::http::avatars::check_frame;
 use crate::http::error::ApiError;
 use crate::jobs::Avatar;
-use crate::jobs::render::{Background, ImageRequest, Light, Place, PoseSource};
+use crate::jobs::render::{Background, ImageRequest, Light, Place, PoseSource, hex_colour};
 
 const POSE_VALUES: usize = 72;
 /// No importer keeps more of a body.
@@ -180,12 +180,9 @@ fn background(text: &str) -> Result<Background, ApiError> {
     if text == "transparent" {
         return Ok(Background::Transparent);
     }
-    let hex = text.strip_prefix('#').filter(|hex| hex.len() == 6 && hex.bytes().all(|b| b.is_ascii_hexdigit()));
-    let value = hex.and_then(|hex| u32::from_str_radix(hex, 16).ok());
-    let value =
-        value.ok_or_else(|| wrong("background", format!("background is {text:?}"), "transparent or #rrggbb"))?;
-    let [_, r, g, b] = value.to_be_bytes();
-    Ok(Background::Colour([r, g, b]))
+    let colour = hex_colour(text)
+        .ok_or_else(|| wrong("background", format!("background is {text:?}"), "transparent or #rrggbb"))?;
+    Ok(Background::Colour(colour))
 }
 
 impl CameraBody {

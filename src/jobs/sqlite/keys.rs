@@ -11,8 +11,8 @@ use super::super::queue::QueueFuture;
 use super::super::{QueueError, Timestamp};
 use super::{SqliteQueue, Tx, rows};
 
-/// `?1` is the present time.
-const ALIVE: &str = "revoked_at IS NULL AND (expires_at IS NULL OR expires_at > ?1)";
+/// Of a row of `api_keys`, `?1` the present time. [`Key::is_alive`] says the same of what was read.
+pub(super) const ALIVE: &str = "revoked_at IS NULL AND (expires_at IS NULL OR expires_at > ?1)";
 
 impl SqliteQueue {
     async fn create_key(&self, new: &NewKey, token: &Token) -> Result<Option<Key>, QueueError> {

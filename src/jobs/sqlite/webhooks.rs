@@ -10,10 +10,16 @@ use super::super::webhooks::{
     Attempt, Delivery, Due, KEPT, MOST_OF_A_KEY, NewWebhook, Places, SCHEDULE, TOLD, Webhook, Webhooks, event_type,
 };
 use super::super::{Job, QueueError, State, Timestamp};
+use super::keys::ALIVE;
 use super::{SqliteQueue, rows};
 
 /// Part of every attempt.
 pub(super) const FORGET: &str = "DELETE FROM deliveries WHERE next_at IS NULL AND created_at < ?";
+
+/// Of a webhook `w`: it is nobody's, or its key is alive.
+fn heard() -> String {
+    format!("NOT EXISTS (SELECT 1 FROM api_keys WHERE id = w.key_id AND NOT ({ALIVE}))")
+}
 
 /// Writes the messages about a job that has just come to its state. Webhooks of a key that is revoked or has expired hear nothing.
 pub(super) async fn tell(connection: &mut SqliteConnection, job: &Job) -> Result<(), QueueError> {
@@ -32,20 +38,20 @@ pub(super) async fn tell(connection: &mut SqliteConnection, job: &Job) -> Result
             "error": job.error,
         },
     });
-    sqlx::query(
+    let insert = format!(
         "INSERT INTO deliveries (id, webhook_id, payload, created_at, next_at) \
-         SELECT 'msg_' || lower(hex(randomblob(16))), w.id, ?1, ?2, ?2 FROM webhooks w \
+         SELECT 'msg_' || lower(hex(randomblob(16))), w.id, ?2, ?1, ?1 FROM webhooks w \
          WHERE w.disabled_at IS NULL AND w.key_id IS (SELECT key_id FROM jobs WHERE id = ?3) \
-         AND EXISTS (SELECT 1 FROM json_each(w.events) WHERE value = ?4) \
-         AND NOT EXISTS (SELECT 1 FROM api_keys k WHERE k.id = w.key_id \
-           AND (k.revoked_at IS NOT NULL OR k.expires_at <= ?2))",
-    )
-    .bind(payload.to_string())
-    .bind(job.updated_at.0)
-    .bind(job.id.to_string())
-    .bind(kind)
-    .execute(connection)
-    .await?;
+         AND EXISTS (SELECT 1 FROM json_each(w.events) WHERE value = ?4) AND {}",
+        heard()
+    );
+    sqlx::query(sqlx::AssertSqlSafe(insert))
+        .bind(job.updated_at.0)
+        .bind(payload.to_string())
+        .bind(job.id.to_string())
+        .bind(kind)
+        .execute(connection)
+        .await?;
     Ok(())
 }
 
@@ -108,24 +114,24 @@ impl SqliteQueue {
     }
 
     async fn due(&self, places: Places) -> Result<Vec<Due>, QueueError> {
-        let found = sqlx::query(
+        let select = format!(
             "SELECT id, key_id, payload, attempts, url, secret FROM ( \
                SELECT *, row_number() OVER (PARTITION BY key_id ORDER BY turn, next_at, row) AS turn_of_key FROM ( \
                  SELECT d.id, w.key_id, d.payload, d.attempts, w.url, w.secret, d.next_at, d.rowid AS row, \
                  row_number() OVER (PARTITION BY d.webhook_id ORDER BY d.next_at, d.rowid) AS turn \
                  FROM deliveries d JOIN webhooks w ON w.id = d.webhook_id \
-                 WHERE d.next_at <= ?1 AND w.disabled_at IS NULL \
-                 AND NOT EXISTS (SELECT 1 FROM api_keys k WHERE k.id = w.key_id \
-                   AND (k.revoked_at IS NOT NULL OR k.expires_at <= ?1)) \
+                 WHERE d.next_at <= ?1 AND w.disabled_at IS NULL AND {} \
                ) WHERE turn <= ?2 \
              ) WHERE turn_of_key <= ?3 ORDER BY turn_of_key, next_at, row LIMIT ?4",
-        )
-        .bind(self.env.now().0)
-        .bind(places.of_webhook)
-        .bind(places.of_key)
-        .bind(places.all)
-        .fetch_all(&self.readers)
-        .await?;
+            heard()
+        );
+        let found = sqlx::query(sqlx::AssertSqlSafe(select))
+            .bind(self.env.now().0)
+            .bind(places.of_webhook)
+            .bind(places.of_key)
+            .bind(places.all)
+            .fetch_all(&self.readers)
+            .await?;
         let due = found.iter().map(|row| {
             Ok(Due {
                 id: row.try_get("id")?,

@@ -8,7 +8,7 @@ use crate::ops::exact_sum::ExactSum;
 use crate::ops::fill::Fill;
 
 /// Pixels of a mask.
-const BLOCK: usize = 32;
+pub(super) const BLOCK: usize = 32;
 
 struct Kernels {
     mark: Arc<Kernel>,

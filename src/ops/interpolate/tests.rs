@@ -171,3 +171,8 @@ fn the_list_ends_at_its_capacity() {
     let want = cpu::scatter(&all.pixel_index[..10], &all.coords[..30], [-1.0; 3], 100);
     assert_close("image", &gpu.read(&image).unwrap(), &want, VALUE);
 }
+
+#[test]
+fn the_host_makes_room_for_what_shaders_index_by() {
+    assert_eq!(super::gpu::BLOCK, crate::gpu::shader::shared_constant("shared/listed", "BLOCK"));
+}

@@ -45,6 +45,11 @@ pub struct RgbL1 {
 }
 
 impl RgbL1 {
+    /// Numbers that `image` and `grad_image` hold where [`RgbL1::forward_backward`] takes [`Pixels::All`]: four pixels at a time.
+    pub fn room(n_pixels: usize) -> usize {
+        3 * n_pixels.next_multiple_of(4)
+    }
+
     pub fn new(gpu: &Gpu, max_pixels: usize) -> Self {
         let packed = [false, true].map(|packed| [("PACKED", packed.to_string())]);
         let weighted = packed
@@ -54,7 +59,14 @@ impl RgbL1 {
         let backward = weighted.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/backward", c)));
         let whole = packed.each_ref().map(|c| kernel!(gpu, "rgb_l1/whole", c));
         let listed = weighted.each_ref().map(|row| row.each_ref().map(|c| kernel!(gpu, "rgb_l1/listed", c)));
-        Self { forward, backward, whole, listed, sum: Sum::new(gpu), values: gpu.zeros("rgb_l1/values", max_pixels) }
+        Self {
+            forward,
+            backward,
+            whole,
+            listed,
+            sum: Sum::new(gpu),
+            values: gpu.zeros("rgb_l1/values", max_pixels.next_multiple_of(4)),
+        }
     }
 
     /// Records the loss of the first `n_pixels` of `image`.
@@ -138,6 +150,9 @@ impl RgbL1 {
                 recorder.dispatch(kernel, &params, &buffers, linear_groups(n_rows, 64));
             }
             None => {
+                for buffer in [image, grad_image] {
+                    assert!(buffer.len() >= Self::room(n_pixels), "{}: room for the last four pixels", buffer.label());
+                }
                 let groups = linear_groups(n_rows.div_ceil(4), 64);
                 recorder.dispatch(&self.whole[packed], &params, &[image, seen, values, grad_image], groups);
             }

@@ -81,12 +81,14 @@ fn a_packed_target_is_composited_over_the_background() {
 /// The device's loss and gradient in one pass; the gradient overwrites sevens.
 fn in_one_pass(gpu: &Gpu, image: &[f64], target: Target<'_>, pixels: Pixels<'_>) -> (f32, Vec<f32>) {
     let n = image.len() / 3;
-    let (losses, grad) = (gpu.zeros("losses", 2), gpu.upload("grad_both", &vec![7.0f32; n * 3]));
-    let (op, image) = (RgbL1::new(gpu, n), gpu.upload("image", &f32s(image)));
+    let (losses, grad) = (gpu.zeros("losses", 2), gpu.upload("grad_both", &vec![7.0f32; RgbL1::room(n)]));
+    let mut padded = f32s(image);
+    padded.resize(RgbL1::room(n), 0.0);
+    let (op, image) = (RgbL1::new(gpu, n), gpu.upload("image", &padded));
     let mut recorder = gpu.recorder("rgb_l1/test");
     op.forward_backward(&mut recorder, n, &image, target, pixels, LossSlot::new(&losses, 1), 0.5, &grad);
     recorder.submit().unwrap();
-    (gpu.read(&losses).unwrap()[1], gpu.read(&grad).unwrap())
+    (gpu.read(&losses).unwrap()[1], gpu.read(&grad).unwrap()[..3 * n].to_vec())
 }
 
 #[test]

@@ -291,7 +291,7 @@ fn gpu_matches_cpu_on_a_body_like_surface() {
 #[test]
 fn every_run_gives_the_same_bits() {
     let Some(gpu) = gpu("soft_rasterize::every_run_gives_the_same_bits") else { return };
-    for (n, side) in [(24, 40), (40, 12)] {
+    for (n, side) in [(24, 40), (40, 12), (56, 4)] {
         let mut scene = bumpy(n, side, side);
         scene.params.sigma = 2e-3;
         let first = scene.gpu(&gpu, 1 << 18);
@@ -333,4 +333,9 @@ fn hidden_faces_have_no_share_in_the_colours() {
     };
     let (all, seen) = (length(None), length(Some(&hard.zbuf)));
     assert!(4 * seen < 3 * all, "{seen} of {all} entries are left");
+}
+
+#[test]
+fn the_host_makes_room_for_what_shaders_index_by() {
+    assert_eq!(super::gpu::SIZES, crate::gpu::shader::shared_constant("shared/soft_face", "SIZES"));
 }

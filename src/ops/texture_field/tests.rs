@@ -339,3 +339,8 @@ fn a_field_is_refined_to_a_cell_and_no_further_than_there_may_be() {
     most.validate().unwrap();
     assert!(TextureFieldConfig { n_levels: most.n_levels + 1, ..most }.validate().is_err());
 }
+
+#[test]
+fn the_host_makes_room_for_what_shaders_index_by() {
+    assert_eq!(super::MAX_LEVELS, crate::gpu::shader::shared_constant("shared/hash_grid", "MAX_LEVELS"));
+}

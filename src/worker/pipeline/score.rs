@@ -51,13 +51,7 @@ pub(super) fn spec_of(renderer: &Renderer, k: usize, frame: &Frame) -> RenderSpe
 
 /// The camera that sees the frame's crop.
 pub(super) fn crop(camera: &Camera, frame: &Frame) -> Camera {
-    Camera {
-        width: frame.width,
-        height: frame.height,
-        cx: camera.cx - frame.x0 as f64,
-        cy: camera.cy - frame.y0 as f64,
-        ..camera.clone()
-    }
+    camera.cropped(frame.x0 as i32, frame.y0 as i32, frame.width, frame.height)
 }
 
 /// PSNR over the whole image, both on white; outside the crop both are white.
