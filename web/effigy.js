@@ -295,7 +295,7 @@ async function result(id) {
     $("whole-report").hidden = !links["report.html"];
     $("whole-report").href = links["report.html"]?.slice(1) ?? "";
     $("report").tBodies[0].replaceChildren(...rows(avatar.metrics).map(([name, value]) => row([name, value])));
-    await turntable(id, signal);
+    await turntable(id, avatar.camera?.rotation, signal);
   } catch (problem) {
     if (!signal.aborted) show(problem, $("job-problem"));
   }
@@ -336,7 +336,27 @@ function standing(angle) {
   return pose;
 }
 
-async function turntable(id, signal) {
+// The same in a world that the clip's camera sees turned by `rotation` (nine numbers, row by row: camera from world): the light stands
+// in that world. Quaternions, x y z w: of the rotation, then its inverse after the half turn.
+function inWorld(pose, rotation) {
+  const [a, b, c, d, e, f, g, h, i] = rotation;
+  const [w, x, y, z] = [1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i].map((v) => 0.5 * Math.sqrt(Math.max(v, 0)));
+  const largest = Math.max(w, x, y, z);
+  const q =
+    largest === w ? [(h - f) / (4 * w), (c - g) / (4 * w), (d - b) / (4 * w), w]
+    : largest === x ? [x, (b + d) / (4 * x), (c + g) / (4 * x), (h - f) / (4 * x)]
+    : largest === y ? [(b + d) / (4 * y), y, (f + h) / (4 * y), (c - g) / (4 * y)]
+    : [(c + g) / (4 * z), (f + h) / (4 * z), z, (d - b) / (4 * z)];
+  const [u, n] = [q.slice(0, 3).map((v) => -v), pose.slice(0, 3).map((v) => v / Math.PI)];
+  const cross = [u[1] * n[2] - u[2] * n[1], u[2] * n[0] - u[0] * n[2], u[0] * n[1] - u[1] * n[0]];
+  const axis = cross.map((v, k) => v + q[3] * n[k]);
+  const angle = 2 * Math.atan2(Math.hypot(...axis), -(u[0] * n[0] + u[1] * n[1] + u[2] * n[2]));
+  const length = Math.hypot(...axis) || 1;
+  const root = axis.map((v) => (angle * v) / length);
+  return [...root, ...pose.slice(3)];
+}
+
+async function turntable(id, rotation = [1, 0, 0, 0, 1, 0, 0, 0, 1], signal) {
   const pictures = new Array(VIEWS);
   $("view").hidden = true;
   const look = () => {
@@ -351,12 +371,13 @@ async function turntable(id, signal) {
   };
   $("turn").oninput = look;
   drag($("view"), $("turn"), look);
-  const camera = { width: 360, height: 540, fx: 740, fy: 740, cx: 180, cy: 262 };
+  const camera = { width: 360, height: 540, fx: 740, fy: 740, cx: 180, cy: 262, rotation };
+  const pelvis = [6, 7, 8].map((k) => 3.2 * rotation[k]); // before the camera
   // The quarters first, then what lies between.
   const order = [...Array(VIEWS).keys()].sort((a, b) => rank(a) - rank(b) || a - b);
   for (const [drawn, view] of order.entries()) {
-    const pose = standing((2 * Math.PI * view) / VIEWS);
-    const picture = await patiently(() => post(`v1/avatars/${id}/renders`, { pose, pelvis: [0, 0, 3.2], camera }, signal));
+    const pose = inWorld(standing((2 * Math.PI * view) / VIEWS), rotation);
+    const picture = await patiently(() => post(`v1/avatars/${id}/renders`, { pose, pelvis, camera }, signal));
     if (signal.aborted) return;
     pictures[view] = URL.createObjectURL(await picture.blob());
     $("drawn").textContent = drawn + 1 < VIEWS ? `${drawn + 1} of ${VIEWS} sides drawn` : "";

@@ -95,7 +95,8 @@ fn check_names(json: &Map<String, Value>) -> Result<(), BadInput> {
         if ["fisheye", "equidistant", "omni", "kannala"].iter().any(|name| model.contains(name)) {
             return Err(bad(format!("`{key}` is {}", short(value)), OF_THE_LENS));
         }
-        let is_lens = lower.starts_with("dist") || ["d", "coeffs", "coefficients", "params"].contains(&lower.as_str());
+        let is_lens = ["dist_", "distc", "distort", "distors"].iter().any(|start| lower.starts_with(start))
+            || ["d", "dist", "coeffs", "coefficients", "params"].contains(&lower.as_str());
         let is_nothing = |value: &Value| value.is_null() || value.as_f64() == Some(0.0);
         let says_none =
             value.is_string() || is_nothing(value) || value.as_array().is_some_and(|list| list.iter().all(is_nothing));
@@ -105,7 +106,7 @@ fn check_names(json: &Map<String, Value>) -> Result<(), BadInput> {
                 format!("a lens as `distortion`: {OF_THE_LENS}"),
             ));
         }
-        let near = |name: &&&str| lower == **name || name.len() > 4 && strsim::damerau_levenshtein(&lower, name) <= 2;
+        let near = |name: &&&str| lower == **name || name.len() > 7 && strsim::damerau_levenshtein(&lower, name) <= 2;
         if let Some(name) = NAMES.iter().find(near) {
             return Err(bad(format!("there is a `{key}`"), format!("`{name}`, if that is meant")));
         }
@@ -301,9 +302,14 @@ mod tests {
 
     #[test]
     fn what_says_that_there_is_no_lens_is_none() {
-        for (key, value) in
-            [("dist_coeffs", "[0, 0, 0, 0]"), ("distortion_model", "\"plumb_bob\""), ("D", "[]"), ("date", "\"today\"")]
-        {
+        for (key, value) in [
+            ("dist_coeffs", "[0, 0, 0, 0]"),
+            ("distortion_model", "\"plumb_bob\""),
+            ("D", "[]"),
+            ("date", "\"today\""),
+            ("distance", "3.2"),
+            ("weight", "70"),
+        ] {
             assert!(with(key, value).is_ok(), "{key}");
         }
     }

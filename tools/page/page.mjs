@@ -76,6 +76,47 @@ const cases = {
     assert.notEqual(page.$("view").src, before, "the slider turns the avatar");
   },
 
+  async "sides are drawn in the clip's own world, whichever way its camera sees that"() {
+    // The first column of the camera's picture of the body's axes, from what is asked of the renderer.
+    const seen = ({ pose, pelvis, camera }) => {
+      const angle = Math.hypot(...pose.slice(0, 3)) || 1e-12;
+      const [x, y, z] = pose.slice(0, 3).map((v) => v / angle);
+      const [c, s] = [Math.cos(angle), Math.sin(angle)];
+      const root = [
+        [c + x * x * (1 - c), x * y * (1 - c) - z * s, x * z * (1 - c) + y * s],
+        [y * x * (1 - c) + z * s, c + y * y * (1 - c), y * z * (1 - c) - x * s],
+        [z * x * (1 - c) - y * s, z * y * (1 - c) + x * s, c + z * z * (1 - c)],
+      ];
+      const R = [0, 3, 6].map((k) => camera.rotation.slice(k, k + 3));
+      const rows = R.map((row) => [0, 1, 2].map((j) => row.reduce((sum, r, k) => sum + r * root[k][j], 0)));
+      return [...rows.flat(), ...R.map((row) => row.reduce((sum, r, k) => sum + r * pelvis[k], 0))];
+    };
+    const views = async (rotation) => {
+      const drawn = [];
+      const page = open(ONE, async (path, options) => {
+        if (path.endsWith("links")) return answer({ links: {} });
+        if (path.endsWith("renders")) {
+          drawn.push(seen(JSON.parse(options.body)));
+          return new Response("picture");
+        }
+        if (path.startsWith("v1/avatars/")) return answer({ metrics: {}, camera: { rotation } });
+        return answer(job(ONE, "succeeded", { avatar: ONE }));
+      });
+      await sleep(400);
+      page.close();
+      return drawn;
+    };
+    const upright = await views([1, 0, 0, 0, 1, 0, 0, 0, 1]);
+    assert.equal(upright.length, 24);
+    const aslant = [0.8, -0.6, 0, 0.6 * 0.8, 0.8 * 0.8, -0.6, 0.6 * 0.6, 0.8 * 0.6, 0.8];
+    for (const rotation of [[1, 0, 0, 0, -1, 0, 0, 0, -1], [-1, 0, 0, 0, 1, 0, 0, 0, -1], [0, -1, 0, 1, 0, 0, 0, 0, 1], aslant]) {
+      const drawn = await views(rotation);
+      for (const [k, numbers] of drawn.entries()) {
+        numbers.forEach((v, i) => assert.ok(Math.abs(v - upright[k][i]) < 1e-6, `${rotation}: side ${k}: ${numbers}, ${upright[k]}`));
+      }
+    }
+  },
+
   async "a refused wish stays until the job is in another state"() {
     const events = eventStream();
     const page = open(ONE, async (path) => {

@@ -6,8 +6,12 @@ use crate::avatar::{AvatarModel, pose};
 use crate::body::N_JOINTS;
 use crate::math::median_f32;
 
-/// A camera that looks up or down by more than this is levelled: the person's mean up becomes +Y.
+/// A camera that looks up or down, or stands aslant, by more than this is levelled: the person's mean up becomes +Y. Who turns all the
+/// way round leans to all sides, and the mean is right to a degree (13 fits with a level camera have 0.1° to 1.0°); who does not may lean.
 const LEVEL_ABOVE_RADIANS: f32 = 8.0 * std::f32::consts::PI / 180.0;
+const LEVEL_ABOVE_RADIANS_AFTER_A_TURN: f32 = 2.0 * std::f32::consts::PI / 180.0;
+/// Between neighbouring headings of a turn.
+const WIDEST_GAP_RADIANS: f32 = std::f32::consts::FRAC_PI_3;
 
 /// Frames that decide where the ground is, at most.
 const GROUND_FRAMES: usize = 16;
@@ -59,7 +63,20 @@ fn upright(model: &AvatarModel) -> Quat {
     let up = ups.sum::<Vec3>().try_normalize().unwrap_or(-Vec3::Y);
     let flip = if up.y < 0.0 { Quat::from_rotation_x(std::f32::consts::PI) } else { Quat::IDENTITY };
     let seen = flip * up;
-    if seen.angle_between(Vec3::Y) > LEVEL_ABOVE_RADIANS { Quat::from_rotation_arc(seen, Vec3::Y) * flip } else { flip }
+    let most = if turns_round(model) { LEVEL_ABOVE_RADIANS_AFTER_A_TURN } else { LEVEL_ABOVE_RADIANS };
+    if seen.angle_between(Vec3::Y) > most { Quat::from_rotation_arc(seen, Vec3::Y) * flip } else { flip }
+}
+
+/// Whether the frames show the person from all sides.
+fn turns_round(model: &AvatarModel) -> bool {
+    let heading = |p| {
+        let ahead = pose::joint_rotation(p, 0) * Vec3::Z;
+        ahead.x.atan2(ahead.z)
+    };
+    let mut headings: Vec<f32> = model.poses.iter().map(heading).collect();
+    headings.sort_by(f32::total_cmp);
+    let round = headings.iter().skip(1).copied().chain(headings.first().map(|first| first + std::f32::consts::TAU));
+    headings.iter().zip(round).all(|(a, b)| b - a < WIDEST_GAP_RADIANS)
 }
 
 /// The height on which the feet stand: the median over frames of the lowest vertex.

@@ -41,6 +41,9 @@ const ROUNDS: usize = 4;
 const WALL: f32 = 0.25;
 const BEHIND: f32 = 0.1;
 
+/// How far from the middle between front and back a surface stays there, of the way from one to the other.
+const MIDST: f32 = 0.1;
+
 /// How far from the middle legs begin below the hem, of a leg's distance from it, and by how much of a leg what is between them is
 /// lifted.
 const LEG: f32 = 0.6;
@@ -74,7 +77,7 @@ impl Skirt {
     /// Makes one piece of what the fit has shaped of two legs. `body` loses faces and changes its weights, `state` those faces'
     /// colours; its offsets change so that the surface of the clip's mean pose stays but for valleys and walls.
     pub fn tailor(&self, body: &mut Body, state: &mut FitState) {
-        self.fill(body, state, Outline::stretched, ROUNDS);
+        self.fill(body, state, |_, outline, x, z| outline.stretched(x, z), ROUNDS);
         let seam = self.cut(body, state);
         self.close(body, state, &seam);
     }
@@ -83,14 +86,19 @@ impl Skirt {
     /// halves of a pair may lie at different depths, of which only one would go to the front.
     fn close(&self, body: &mut Body, state: &mut FitState, seam: &[[usize; 2]]) {
         sew(body, state, seam);
-        self.fill(body, state, Outline::outermost, 0);
+        let mut sewn = vec![false; body.n_vertices()];
+        seam.iter().flatten().for_each(|&v| sewn[v] = true);
+        // Of the seam nothing stays half way: it would be a slit down the cloth.
+        let goes =
+            |v: usize, outline: &Outline, x: f32, z: f32| outline.outermost(x, z, if sewn[v] { 0.0 } else { MIDST });
+        self.fill(body, state, goes, 0);
         self.tuck(body, state);
         self.hang(body, state);
     }
 
     /// Brings the surface between the legs out to where cloth would hang that touches both, in front and behind: `goes` tells
-    /// where from a section, x and z; the way is smoothed in so many rounds.
-    fn fill(&self, body: &Body, state: &mut FitState, goes: fn(&Outline, f32, f32) -> f32, rounds: usize) {
+    /// where from a vertex, a section, x and z; the way is smoothed in so many rounds.
+    fn fill(&self, body: &Body, state: &mut FitState, goes: impl Fn(usize, &Outline, f32, f32) -> f32, rounds: usize) {
         let standing = Standing::new(body, state, &state.offsets);
         let outlines = self.outlines(&standing);
         let moves: Vec<Option<f32>> = (0..body.n_vertices())
@@ -99,7 +107,7 @@ impl Skirt {
                 let weight =
                     self.weight(place.y) * smoothstep((1.0 - place.x.abs()) / FADE_ACROSS) * smoothstep(place.y / FADE);
                 let outline = nearest(&outlines, place.y).filter(|_| weight > 0.0 && !standing.of_arm[v])?;
-                Some(weight * (goes(outline, place.x, z) - z))
+                Some(weight * (goes(v, outline, place.x, z) - z))
             })
             .collect();
         let moves = smoothed(&Topology::new(body.n_vertices(), &body.faces), moves, rounds);
@@ -388,7 +396,7 @@ mod tests {
         wear(&body, &mut state, 0.6);
         let skirt = Skirt::find(&body, &state).unwrap();
         let before = Standing::new(&body, &state, &state.offsets);
-        skirt.fill(&body, &mut state, Outline::stretched, ROUNDS);
+        skirt.fill(&body, &mut state, |_, outline, x, z| outline.stretched(x, z), ROUNDS);
         let after = Standing::new(&body, &state, &state.offsets);
         let extent = |standing: &Standing| {
             let section = standing.section(0.5 * skirt.hem);
@@ -432,7 +440,7 @@ mod tests {
         let mut state = standing(&body);
         wear(&body, &mut state, 0.6);
         let skirt = Skirt::find(&body, &state).unwrap();
-        skirt.fill(&body, &mut state, Outline::stretched, ROUNDS);
+        skirt.fill(&body, &mut state, |_, outline, x, z| outline.stretched(x, z), ROUNDS);
         let seam = skirt.cut(&mut body, &mut state);
         let cut = Standing::new(&body, &state, &state.offsets);
         let mut vertices: Vec<Vec3> = cut.posed.vertices.iter().map(|&v| v.into()).collect();
@@ -446,12 +454,15 @@ mod tests {
             Standing::new(&body, &state, &state.offsets).posed.vertices
         };
         let even = closed_from(&vertices);
-        for &[half, _] in &front {
-            vertices[half].z *= 0.3;
-        }
-        let pressed = closed_from(&vertices);
-        for v in front.into_iter().flatten() {
-            assert!(pressed[v][2] > 0.9 * even[v][2], "{v}: {} m ahead, {} when even", pressed[v][2], even[v][2]);
+        // One half of each pair, then both: these lie 0.65 of the way from back to front.
+        for half in 0..2 {
+            for pair in &front {
+                vertices[pair[half]].z *= 0.3;
+            }
+            let pressed = closed_from(&vertices);
+            for &v in front.iter().flatten() {
+                assert!(pressed[v][2] > 0.9 * even[v][2], "{v}: {} m ahead, {} when even", pressed[v][2], even[v][2]);
+            }
         }
     }
 

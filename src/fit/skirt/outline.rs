@@ -43,12 +43,13 @@ impl Outline {
         back + self.depth(x, z) * (front - back)
     }
 
-    /// Where `z` goes when front and back, told apart by the hull, go onto it; what lies in the middle stays.
-    pub(super) fn outermost(&self, x: f32, z: f32) -> f32 {
+    /// Where `z` goes when front and back, told apart by the hull, go onto it; what lies within `midst` of the middle stays, of the way
+    /// from one to the other.
+    pub(super) fn outermost(&self, x: f32, z: f32, midst: f32) -> f32 {
         let [back, front] = between(&self.hull, x);
         let depth = (z - back) / (front - back).max(0.01);
         let outer = if depth < 0.5 { back } else { front };
-        z + smoothstep(((depth - 0.5).abs() - 0.1) / 0.1) * (outer - z)
+        z + smoothstep(((depth - 0.5).abs() - midst) / midst.max(1e-3)) * (outer - z)
     }
 
     /// How far `z` lies from the surface's back (0) to its front (1) at `x`.
@@ -107,9 +108,10 @@ mod tests {
         let outline = Outline::of(&section).unwrap();
         let near = |have: f32, want: f32| assert!((have - want).abs() < 0.01, "{have}, expected {want}");
         for (z, outermost, stretched) in [(0.09, 0.15, 0.15), (-0.15, -0.15, -0.15), (0.0, 0.0, 0.0375)] {
-            near(outline.outermost(0.0, z), outermost);
+            near(outline.outermost(0.0, z, 0.1), outermost);
             near(outline.stretched(0.0, z), stretched);
         }
+        near(outline.outermost(0.0, 0.03, 0.0), 0.15);
         near(outline.depth(0.0, 0.0), 0.625);
         assert!(Outline::of(&section[..20]).is_none(), "one leg");
     }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::f32::consts::PI;
 
+use glam::{Mat3, Quat, Vec3};
 use image::{Rgb, RgbImage, RgbaImage};
 use serde_json::Value;
 
@@ -92,11 +93,17 @@ fn turntable(renderer: &Renderer) -> Result<String, RenderError> {
     let focal = 1.4 * f64::from(height);
     // The person fills nine tenths of the height; y runs down.
     let distance = focal as f32 * (high - low) / (0.9 * height as f32);
-    let camera = Camera::pinhole(width, height, [focal, focal, 0.5 * f64::from(width), 0.5 * f64::from(height)]);
+    // The light stands in the clip's world, which its camera may see turned.
+    let camera = Camera {
+        rotation: renderer.model().camera.rotation,
+        ..Camera::pinhole(width, height, [focal, focal, 0.5 * f64::from(width), 0.5 * f64::from(height)])
+    };
+    let to_world = Mat3::from_cols_array(&camera.rotation.map(|r| r as f32));
     let side = |i: usize| -> Result<RgbImage, RenderError> {
+        let place = to_world * Vec3::new(0.0, 0.5 * (low + high) - pelvis, distance);
         let spec = RenderSpec {
-            pose: standing(2.0 * PI * i as f32 / SIDES as f32),
-            place: Place::Pelvis([0.0, 0.5 * (low + high) - pelvis, distance]),
+            pose: turned(standing(2.0 * PI * i as f32 / SIDES as f32), to_world),
+            place: Place::Pelvis(place.into()),
             camera: camera.clone(),
             background: Background::Colour(BACKDROP),
             ..RenderSpec::of_frame(renderer.model(), 0)
@@ -113,6 +120,13 @@ fn standing(angle: f32) -> Pose {
     // Half a turn about the axis between x and z.
     (pose[0], pose[2]) = (PI * (0.5 * angle).cos(), PI * (0.5 * angle).sin());
     (pose[3 * LEFT_SHOULDER + 2], pose[3 * RIGHT_SHOULDER + 2]) = (-1.0, 1.0);
+    pose
+}
+
+/// A pose of which the world is turned.
+fn turned(mut pose: Pose, by: Mat3) -> Pose {
+    let root = Quat::from_scaled_axis(Vec3::from_slice(&pose[..3]));
+    pose[..3].copy_from_slice(&(Quat::from_mat3(&by) * root).normalize().to_scaled_axis().to_array());
     pose
 }
 
