@@ -94,6 +94,17 @@ impl Camera {
     }
 }
 
+/// `R Rᵀ = 1` and `det R = 1`, to the precision of numbers that were written as text.
+pub fn is_rotation(r: &[f64; 9]) -> bool {
+    let row = |i: usize| [r[3 * i], r[3 * i + 1], r[3 * i + 2]];
+    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let cross =
+        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    let off = (0..3).flat_map(|i| (0..3).map(move |j| (i, j)));
+    let unit = |(i, j): (usize, usize)| (dot(row(i), row(j)) - f64::from(i == j)).abs() < 1e-3;
+    r.iter().all(|v| v.is_finite()) && off.into_iter().all(unit) && dot(row(0), cross(row(1), row(2))) > 0.0
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::{Map, Value};
 
 use super::{BadInput, CaptureError, Part, limits};
-use crate::camera::Camera;
+use crate::camera::{Camera, is_rotation};
 
 /// Horizontal field of view along the longer side of a phone's main camera while filming (26–28 mm equivalent, with
 /// the usual crop for stabilisation): 62°.
@@ -215,12 +215,7 @@ fn vector<const N: usize>(json: &Map<String, Value>, key: &str) -> Result<Option
 
 fn rotation(json: &Map<String, Value>) -> Result<[f64; 9], BadInput> {
     let Some(r) = vector::<9>(json, "rotation")? else { return Ok([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]) };
-    let dot = |a: usize, b: usize| -> f64 { (0..3).map(|k| r[3 * a + k] * r[3 * b + k]).sum() };
-    let identity = |a: usize, b: usize| f64::from(u8::from(a == b));
-    let error = (0..9).map(|i| (dot(i / 3, i % 3) - identity(i / 3, i % 3)).abs()).fold(0.0, f64::max);
-    let determinant =
-        r[0] * (r[4] * r[8] - r[5] * r[7]) - r[1] * (r[3] * r[8] - r[5] * r[6]) + r[2] * (r[3] * r[7] - r[4] * r[6]);
-    if error < 1e-3 && determinant > 0.0 {
+    if is_rotation(&r) {
         return Ok(r);
     }
     Err(bad("`rotation` is no rotation", "3×3 orthonormal rows (row-major) with determinant 1"))

@@ -61,9 +61,9 @@ impl Keypoints {
         Ok(())
     }
 
-    /// Brings points of pictures of another size to the video's.
+    /// Brings points of pictures of another size to the video's, once.
     pub fn fit_canvas(&mut self, width: u32, height: u32, warnings: &mut Vec<String>) -> Result<(), BadInput> {
-        let Some([across, down]) = self.canvas else { return Ok(()) };
+        let Some([across, down]) = self.canvas.take() else { return Ok(()) };
         let scale = [f64::from(width) / across, f64::from(height) / down];
         if scale == [1.0, 1.0] {
             return Ok(());

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use crate::camera::Camera;
+use crate::camera::{Camera, is_rotation};
 use crate::http::avatars::check_frame;
 use crate::http::error::ApiError;
 use crate::jobs::Avatar;
@@ -242,15 +242,4 @@ impl CameraBody {
         check_numbers("camera.distortion", &lens, 100.0)?;
         Ok(lens)
     }
-}
-
-/// `R Rᵀ = 1` and `det R = 1`, to the precision of numbers that were written as text.
-fn is_rotation(r: &[f64; 9]) -> bool {
-    let row = |i: usize| [r[3 * i], r[3 * i + 1], r[3 * i + 2]];
-    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    let cross =
-        |a: [f64; 3], b: [f64; 3]| [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-    let off = (0..3).flat_map(|i| (0..3).map(move |j| (i, j)));
-    let unit = |(i, j): (usize, usize)| (dot(row(i), row(j)) - f64::from(i == j)).abs() < 1e-3;
-    r.iter().all(|v| v.is_finite()) && off.into_iter().all(unit) && dot(row(0), cross(row(1), row(2))) > 0.0
 }
