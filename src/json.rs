@@ -25,18 +25,30 @@ pub fn object<T: DeserializeOwned>(json: &[u8]) -> Result<T, JsonError> {
         });
     }
     let mut reader = serde_json::Deserializer::from_slice(json);
-    let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
-        let path = error.path().to_string();
-        let message = in_plain_words(&error.into_inner().to_string());
-        let expected = message.split_once("expected ").map(|(_, rest)| rest.to_string());
-        JsonError { field: field(&path), message, expected }
-    })?;
+    let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| explained(&error))?;
     reader.end().map_err(|error| JsonError {
         field: None,
         message: without_position(&error.to_string()).into(),
         expected: Some("nothing after the object".into()),
     })?;
     Ok(value)
+}
+
+/// The same of an object that has been read.
+///
+/// # Errors
+/// [`JsonError`] for what is no object, or not of this type.
+pub fn of_value<T: DeserializeOwned>(json: serde_json::Value) -> Result<T, JsonError> {
+    if !json.is_object() {
+        return Err(JsonError { field: None, message: "it is no object".into(), expected: Some("an object".into()) });
+    }
+    serde_path_to_error::deserialize(json).map_err(|error| explained(&error))
+}
+
+fn explained(error: &serde_path_to_error::Error<serde_json::Error>) -> JsonError {
+    let message = in_plain_words(&error.inner().to_string());
+    let expected = message.split_once("expected ").map(|(_, rest)| rest.to_string());
+    JsonError { field: field(&error.path().to_string()), message, expected }
 }
 
 /// `?` stands for what the reader could not name.

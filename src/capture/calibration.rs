@@ -59,7 +59,9 @@ fn parse(text: &[u8]) -> Result<Camera, BadInput> {
         }
         Err(bad(format!("`{key}` is {value}"), format!("a whole number of pixels from 1 to {}", limits::SIDE_PX)))
     };
-    check_names(&json)?;
+    if let Some(OddName { message, expected, .. }) = odd_name(&json) {
+        return Err(bad(message, expected));
+    }
     let (width, height) = (size("width")?, size("height")?);
     let camera = Camera {
         width,
@@ -83,17 +85,24 @@ fn parse(text: &[u8]) -> Result<Camera, BadInput> {
 const NAMES: [&str; 14] =
     ["width", "height", "fx", "fy", "cx", "cy", "distortion", "k1", "k2", "k3", "p1", "p2", "rotation", "translation"];
 
-/// Refuses a lens under another name and a name that is nearly one of ours: they would be left out without a word. What else stands
-/// in the file is its own.
-fn check_names(json: &Map<String, Value>) -> Result<(), BadInput> {
-    for (key, value) in json {
-        if NAMES.contains(&key.as_str()) {
-            continue;
-        }
+/// A name beside those that are read that would be left out without a word, though it says something of the camera.
+pub struct OddName {
+    pub name: String,
+    pub message: String,
+    pub expected: String,
+}
+
+/// A lens under another name, or a name that is nearly one of ours. What else stands beside a camera is its own.
+pub fn odd_name(json: &Map<String, Value>) -> Option<OddName> {
+    let odd = |name: &str, message: String, expected: String| Some(OddName { name: name.into(), message, expected });
+    json.iter().filter(|(key, _)| !NAMES.contains(&key.as_str())).find_map(|(key, value)| {
         let lower = key.to_lowercase();
         let model = value.as_str().unwrap_or("").to_lowercase();
         if ["fisheye", "equidistant", "omni", "kannala"].iter().any(|name| model.contains(name)) {
-            return Err(bad(format!("`{key}` is {}", short(value)), OF_THE_LENS));
+            return odd(key, format!("`{key}` is {}", short(value)), OF_THE_LENS.into());
+        }
+        if ["k4", "k5", "k6"].contains(&lower.as_str()) {
+            return odd(key, format!("there is a `{key}`"), OF_THE_LENS.into());
         }
         let is_lens = ["dist_", "distc", "distort", "distors"].iter().any(|start| lower.starts_with(start))
             || ["d", "dist", "coeffs", "coefficients", "params"].contains(&lower.as_str());
@@ -101,17 +110,13 @@ fn check_names(json: &Map<String, Value>) -> Result<(), BadInput> {
         let says_none =
             value.is_string() || is_nothing(value) || value.as_array().is_some_and(|list| list.iter().all(is_nothing));
         if is_lens && !says_none {
-            return Err(bad(
-                format!("there is a `{key}`, which is not read"),
-                format!("a lens as `distortion`: {OF_THE_LENS}"),
-            ));
+            let expected = format!("a lens as `distortion`: {OF_THE_LENS}");
+            return odd(key, format!("there is a `{key}`, which is not read"), expected);
         }
         let near = |name: &&&str| lower == **name || name.len() > 7 && strsim::damerau_levenshtein(&lower, name) <= 2;
-        if let Some(name) = NAMES.iter().find(near) {
-            return Err(bad(format!("there is a `{key}`"), format!("`{name}`, if that is meant")));
-        }
-    }
-    Ok(())
+        let near = NAMES.iter().find(near)?;
+        odd(key, format!("there is a `{key}`"), format!("`{near}`, if that is meant"))
+    })
 }
 
 /// A principal point that lies in the middle of images of another size is of those, and so is the focal length.
@@ -176,10 +181,6 @@ const OF_THE_LENS: &str = "k1, k2, p1, p2, k3 (Brown's model, no fisheye)";
 /// `distortion: [k1, k2, p1, p2, k3]` (shorter is fine), `distortion: {k1: …}`, or `k1` … beside the other fields.
 fn distortion(json: &Map<String, Value>) -> Result<[f64; 5], BadInput> {
     const NAMES: [&str; 5] = ["k1", "k2", "p1", "p2", "k3"];
-    const OF_OTHERS: [&str; 3] = ["k4", "k5", "k6"];
-    if let Some(other) = OF_OTHERS.into_iter().find(|key| json.contains_key(*key)) {
-        return Err(bad(format!("there is a `{other}`"), OF_THE_LENS));
-    }
     let mut coefficients = [0.0; 5];
     let named = match json.get("distortion") {
         None | Some(Value::Null) => json,

@@ -27,7 +27,7 @@ mod source;
 mod tests;
 mod video;
 
-pub use calibration::read as read_camera;
+pub use calibration::{OddName, odd_name, read as read_camera};
 pub use clip::{CaptureInputs, CaptureOptions, GoOn, Inspection, inspect};
 pub use confine::Confinement;
 pub use error::{BadInput, CaptureError, Part};

@@ -1,12 +1,15 @@
 //! What a client may ask of a render, and the checks before a worker sees it.
 
 use serde::Deserialize;
+use serde_json::Value;
 
 use crate::camera::{Camera, is_rotation};
+use crate::capture::{OddName, odd_name};
 use crate::http::avatars::check_frame;
 use crate::http::error::ApiError;
 use crate::jobs::Avatar;
 use crate::jobs::render::{Background, ImageRequest, Light, Place, PoseSource, hex_colour};
+use crate::json;
 
 const POSE_VALUES: usize = 72;
 /// No importer keeps more of a body.
@@ -36,7 +39,8 @@ pub(in crate::http) struct RenderBody {
     #[schema(max_items = 16)]
     pub betas: Option<Vec<f64>>,
     /// Absent: the capture's.
-    pub camera: Option<CameraBody>,
+    #[schema(value_type = Option<CameraBody>)]
+    pub camera: Option<Value>,
     #[serde(default)]
     #[schema(inline)]
     pub light: Light,
@@ -61,8 +65,8 @@ pub(in crate::http) enum Format {
 }
 
 /// A pinhole camera in OpenCV's axes: x right, y down, z forward; pixel centres at half integers.
+/// As in a clip's camera.json, other fields may stand beside these.
 #[derive(Deserialize, utoipa::ToSchema)]
-#[serde(deny_unknown_fields)]
 pub(in crate::http) struct CameraBody {
     /// Pixels of the picture.
     #[schema(minimum = 1, maximum = 4096)]
@@ -143,7 +147,7 @@ impl RenderBody {
         Ok(ImageRequest {
             pose,
             betas: self.betas.map(|betas| betas.iter().map(|&b| b as f32).collect()),
-            camera: self.camera.map_or_else(|| Ok(avatar.camera.clone()), CameraBody::check)?,
+            camera: self.camera.map_or_else(|| Ok(avatar.camera.clone()), camera)?,
             light: self.light,
             background: background(&self.background)?,
         })
@@ -183,6 +187,19 @@ fn background(text: &str) -> Result<Background, ApiError> {
     let colour = hex_colour(text)
         .ok_or_else(|| wrong("background", format!("background is {text:?}"), "transparent or #rrggbb"))?;
     Ok(Background::Colour(colour))
+}
+
+fn camera(json: Value) -> Result<Camera, ApiError> {
+    let within = |field: &str| Some(if field.is_empty() { "camera".into() } else { format!("camera.{field}") });
+    if let Some(OddName { name, message, expected }) = json.as_object().and_then(odd_name) {
+        return Err(ApiError::Malformed { detail: message, part: within(&name), expected: Some(expected) });
+    }
+    let read: CameraBody = json::of_value(json).map_err(|error| ApiError::Malformed {
+        part: within(error.field.as_deref().unwrap_or("")),
+        detail: error.message,
+        expected: error.expected,
+    })?;
+    read.check()
 }
 
 impl CameraBody {
