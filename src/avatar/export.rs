@@ -33,13 +33,20 @@ impl Renderer {
     /// the texture, and without vertices that no face has. `None` where there is no such frame. Waits.
     pub fn mesh(&self, k: Option<usize>) -> Result<Option<Mesh>, GpuError> {
         let Some(mesh) = self.model().mesh(k) else { return Ok(None) };
-        let colours = self.texture().vertex_colours(self.gpu())?;
+        let colours = self.vertex_colours()?;
         Ok(Some(Mesh { colours, ..mesh }.without_loose_vertices()))
+    }
+
+    /// sRGB bytes of every vertex's albedo, for files with vertex colours. Waits.
+    pub fn vertex_colours(&self) -> Result<Vec<[u8; 3]>, GpuError> {
+        let byte = |x: f32| (255.0 * x).round().clamp(0.0, 255.0) as u8;
+        let albedo = self.texture().vertex_colours(self.gpu())?;
+        Ok(albedo.into_iter().zip(self.trims()?).map(|(rgb, trim)| rgb.map(|x| byte(trim * x))).collect())
     }
 
     /// The texture field baked to a square of `size_px`. Waits.
     pub fn bake(&self, layout: &UvLayout, size_px: u32) -> Result<RgbImage, BakeError<GpuError>> {
-        bake(layout, size_px, |points| self.texture().colours(self.gpu(), points))
+        bake(layout, size_px, |points| self.albedo(points))
     }
 
     /// Writes `avatar.glb`, `texture.png` (`size_px` a side), `mesh.ply` (T-pose), `motion.npz` and `model.npz` into an

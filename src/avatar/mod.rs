@@ -15,6 +15,7 @@ mod render;
 pub(crate) mod testing;
 mod texture;
 mod trace;
+mod trim;
 mod video;
 
 /// What [`AvatarModel::posed`] gives.

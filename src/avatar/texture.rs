@@ -34,10 +34,9 @@ impl SurfaceTexture {
         self.at_coords(gpu, &coords)
     }
 
-    /// sRGB bytes of every vertex, for files with vertex colours. Waits.
-    pub fn vertex_colours(&self, gpu: &Gpu) -> Result<Vec<[u8; 3]>, GpuError> {
-        let byte = |x: f32| (255.0 * x).round().clamp(0.0, 255.0) as u8;
-        Ok(self.at_coords(gpu, &self.texcoords)?.into_iter().map(|rgb| rgb.map(byte)).collect())
+    /// sRGB of every vertex. Waits.
+    pub fn vertex_colours(&self, gpu: &Gpu) -> Result<Vec<[f32; 3]>, GpuError> {
+        self.at_coords(gpu, &self.texcoords)
     }
 
     fn at_coords(&self, gpu: &Gpu, coords: &[[f32; 3]]) -> Result<Vec<[f32; 3]>, GpuError> {

@@ -15,6 +15,8 @@ use effigy::jobs::render::hex_colour;
 use effigy::npz::Npz;
 use glam::{Quat, Vec3};
 use image::{DynamicImage, RgbaImage};
+use serde::Deserialize;
+use serde::de::IntoDeserializer;
 
 #[derive(clap::Args)]
 pub struct Args {
@@ -42,12 +44,19 @@ pub struct Args {
     /// `transparent` or `#rrggbb`.
     #[arg(long, default_value = "transparent", value_parser = background)]
     background: Background,
+    /// `captured`: the light of the clip. `none`: the albedo, as the GLB's texture has it.
+    #[arg(long, default_value = "captured", value_parser = light)]
+    light: Light,
     /// Samples along a pixel's side.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=8))]
     samples: u32,
     /// Folder for the pictures.
     #[arg(long)]
     out: PathBuf,
+}
+
+fn light(text: &str) -> Result<Light, serde::de::value::Error> {
+    Light::deserialize(text.into_deserializer())
 }
 
 fn background(text: &str) -> Result<Background, String> {
@@ -73,7 +82,7 @@ pub fn run(args: Args) -> Result<()> {
             betas: None,
             camera: camera.clone(),
             background: args.background,
-            light: Light::Captured,
+            light: args.light,
             samples: args.samples,
             shading: None,
         })?;

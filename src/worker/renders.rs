@@ -51,7 +51,7 @@ impl CachedRenderers {
         let kept = self.model(gpu, &request.model)?;
         match &request.what {
             What::Image(image) => kept.image(image),
-            What::Mesh { frame } => kept.mesh(gpu, *frame),
+            What::Mesh { frame } => kept.mesh(*frame),
         }
     }
 
@@ -127,12 +127,12 @@ impl Loaded {
         Place::Pelvis(std::array::from_fn(|k| joint[k] + first[k]))
     }
 
-    fn mesh(&mut self, gpu: &Arc<Gpu>, frame: u32) -> Result<Vec<u8>, RenderError> {
+    fn mesh(&mut self, frame: u32) -> Result<Vec<u8>, RenderError> {
         let model = self.renderer.model();
         let mesh = model.mesh(Some(model.nearest_frame(frame)));
         let mut mesh = mesh.ok_or_else(|| RenderError::Failed("the model has no frames".into()))?;
         if self.colours.is_none() {
-            self.colours = Some(self.renderer.texture().vertex_colours(gpu).map_err(failed)?);
+            self.colours = Some(self.renderer.vertex_colours().map_err(failed)?);
         }
         mesh.colours = self.colours.clone().unwrap_or_default();
         let mesh = mesh.without_loose_vertices();

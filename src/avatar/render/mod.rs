@@ -13,6 +13,7 @@ pub use self::spec::{Background, Light, Place, RenderSpec};
 use super::AvatarModel;
 use super::texture::SurfaceTexture;
 use super::trace::{Picture, Shading, SurfacePoint, Tracer};
+use super::trim::trims;
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
 use crate::ops::skinning::cpu::{Posed, forward};
@@ -41,6 +42,8 @@ pub struct Renderer {
     texture: SurfaceTexture,
     /// The side of the texture's finest cell on the surface, metres.
     cell_m: f64,
+    /// `[V]`, see [`trim`](super::trim); found when it is first asked for
+    trims: OnceLock<Vec<f32>>,
 }
 
 impl Renderer {
@@ -49,6 +52,7 @@ impl Renderer {
             tracer: Tracer::new(gpu, &model.body.faces, &model.body.v_template),
             texture: SurfaceTexture::new(gpu, model)?,
             cell_m: finest_cell(model),
+            trims: OnceLock::new(),
             gpu: gpu.clone(),
             model: model.clone(),
         })
@@ -66,9 +70,33 @@ impl Renderer {
         &self.gpu
     }
 
+    /// `[V]`: what of the texture's colour an albedo keeps that is shown without the clip's light. Waits.
+    pub(super) fn trims(&self) -> Result<&[f32], GpuError> {
+        if self.trims.get().is_none() {
+            let albedo = self.texture.vertex_colours(&self.gpu)?;
+            self.trims.get_or_init(|| trims(&self.model, &albedo));
+        }
+        Ok(self.trims.get().expect("it has just been found"))
+    }
+
+    /// The albedo at points of the surface, as it is shown without the clip's light. Waits.
+    pub(super) fn albedo(&self, points: &[SurfacePoint]) -> Result<Vec<[f32; 3]>, GpuError> {
+        let trims = self.trims()?;
+        let mut colours = self.texture.colours(&self.gpu, points)?;
+        for (point, rgb) in points.iter().zip(&mut colours) {
+            let corners = self.model.body.faces[point.face as usize];
+            let trim: f32 = corners.iter().zip(point.bary).map(|(&v, weight)| weight * trims[v as usize]).sum();
+            *rgb = rgb.map(|x| trim * x);
+        }
+        Ok(colours)
+    }
+
     /// The picture at the camera's size: straight alpha where the background is transparent. Waits.
     pub fn render(&self, spec: &RenderSpec) -> Result<RgbaImage, RenderError> {
-        self.render_with(spec, |points| self.texture.colours(&self.gpu, points))
+        self.render_with(spec, |points| match spec.light {
+            Light::Captured => self.texture.colours(&self.gpu, points),
+            Light::None => self.albedo(points),
+        })
     }
 
     /// As [`Renderer::render`]; sets `seen [F]` for the faces that the picture shows: of faces that touch in a pixel, the one
