@@ -21,6 +21,9 @@ const FACING: f32 = 0.3;
 /// Best shades, of the median of all: from the first down what is around counts, from the second on alone.
 const GOOD: f32 = 0.9;
 const POOR: f32 = 0.8;
+/// Of all vertices: a larger part of the surface is no corner. Crotches have 4 to 5 %, armpits and soles 1 to 2; hands, in which much is
+/// hidden and little differs, 8.
+const CORNER: f32 = 0.06;
 /// Rounds in which surroundings spread; a ring each.
 const ROUNDS: usize = 60;
 
@@ -61,6 +64,7 @@ fn best_shades(model: &AvatarModel) -> Vec<Option<f32>> {
 
 fn of(topology: &Topology, best: &[Option<f32>], luma: &[f32]) -> Vec<f32> {
     let is_good = |v: usize| best[v].is_some_and(|best| best >= GOOD);
+    let corners = corners(topology, is_good);
     // From what was seen well inwards.
     let mut around: Vec<Option<f32>> = (0..luma.len()).map(|v| is_good(v).then_some(luma[v])).collect();
     for _ in 0..ROUNDS {
@@ -72,7 +76,7 @@ fn of(topology: &Topology, best: &[Option<f32>], luma: &[f32]) -> Vec<f32> {
         around = (0..luma.len()).map(|v| if is_good(v) { around[v] } else { mean(v) }).collect();
     }
     let trim = |v: usize| {
-        let (Some(best), Some(around)) = (best[v], around[v]) else { return 1.0 };
+        let (Some(best), Some(around), true) = (best[v], around[v], corners[v]) else { return 1.0 };
         let nearest = (around / luma[v].max(1e-3)).clamp(best.min(1.0), 1.0);
         1.0 + smoothstep((GOOD - best) / (GOOD - POOR)) * (nearest - 1.0)
     };
@@ -90,11 +94,48 @@ fn of(topology: &Topology, best: &[Option<f32>], luma: &[f32]) -> Vec<f32> {
     trims
 }
 
+/// `[V]`: whether a vertex lies in a small part of the surface that is not `good`. A large one is a side that a lamp never reached, as
+/// of somebody who did not turn all the way, and its albedo is what the light model says.
+fn corners(topology: &Topology, good: impl Fn(usize) -> bool) -> Vec<bool> {
+    let n = topology.neighbours.len();
+    let most = (CORNER * n as f32) as usize;
+    let (mut corners, mut reached) = (vec![false; n], (0..n).map(&good).collect::<Vec<bool>>());
+    for start in 0..n {
+        if reached[start] {
+            continue;
+        }
+        reached[start] = true;
+        let mut part = vec![start];
+        let mut next = 0;
+        while next < part.len() {
+            for &around in topology.neighbours.row(part[next]) {
+                if !std::mem::replace(&mut reached[around as usize], true) {
+                    part.push(around as usize);
+                }
+            }
+            next += 1;
+        }
+        if part.len() <= most {
+            part.into_iter().for_each(|v| corners[v] = true);
+        }
+    }
+    corners
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::avatar::testing::turning_avatar;
     use crate::ops::light::Light;
+
+    #[test]
+    fn a_side_that_no_lamp_reached_is_no_corner() {
+        let (topology, n) = (strip(50), 100);
+        let parts =
+            |dark: [std::ops::Range<usize>; 2]| corners(&topology, |v| dark.iter().all(|part| !part.contains(&v)));
+        let found = parts([20..24, 40..60]);
+        assert!((0..n).all(|v| found[v] == (20..24).contains(&v)), "{found:?}");
+    }
 
     /// A strip of triangles, two vertices a column.
     fn strip(columns: u32) -> Topology {
@@ -104,9 +145,9 @@ mod tests {
 
     #[test]
     fn a_pale_corner_takes_the_colour_around_it_as_far_as_its_shade_allows() {
-        let (topology, middle) = (strip(9), 8..12);
+        let (topology, middle) = (strip(50), 50..54);
         let column = |inside: f32, outside: f32| -> Vec<f32> {
-            (0..18).map(|v| if middle.contains(&v) { inside } else { outside }).collect()
+            (0..100).map(|v| if middle.contains(&v) { inside } else { outside }).collect()
         };
         let best = |inside: f32| -> Vec<Option<f32>> { column(inside, 1.0).into_iter().map(Some).collect() };
         let near = |trims: Vec<f32>, inside: f32| {
@@ -121,12 +162,12 @@ mod tests {
         near(of(&topology, &best(0.95), &column(0.5, 0.4)), 1.0);
         // What is hidden is as its surroundings: these, and those of a corner.
         let mut hidden = best(1.0);
-        hidden[9] = None;
+        hidden[51] = None;
         near(of(&topology, &hidden, &column(0.5, 0.4)), 1.0);
         let mut hidden = best(0.7);
-        (hidden[9], hidden[10]) = (None, None);
+        (hidden[51], hidden[52]) = (None, None);
         let trims = of(&topology, &hidden, &column(0.5, 0.4));
-        assert!(trims[9] < 0.95 && trims[10] < 0.95 && trims[8] < 0.81, "{trims:?}");
+        assert!(trims[51] < 0.95 && trims[52] < 0.95 && trims[50] < 0.81, "{trims:?}");
     }
 
     #[test]
