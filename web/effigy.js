@@ -295,7 +295,7 @@ async function result(id) {
     $("whole-report").hidden = !links["report.html"];
     $("whole-report").href = links["report.html"]?.slice(1) ?? "";
     $("report").tBodies[0].replaceChildren(...rows(avatar.metrics).map(([name, value]) => row([name, value])));
-    await turntable(id, avatar.camera?.rotation, signal);
+    await turntable(id, signal, avatar.camera?.rotation);
   } catch (problem) {
     if (!signal.aborted) show(problem, $("job-problem"));
   }
@@ -356,7 +356,7 @@ function inWorld(pose, rotation) {
   return [...root, ...pose.slice(3)];
 }
 
-async function turntable(id, rotation = [1, 0, 0, 0, 1, 0, 0, 0, 1], signal) {
+async function turntable(id, signal, rotation = [1, 0, 0, 0, 1, 0, 0, 0, 1]) {
   const pictures = new Array(VIEWS);
   $("view").hidden = true;
   const look = () => {

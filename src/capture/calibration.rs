@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
-use super::{BadInput, CaptureError, Part, limits};
+use super::{BadInput, CaptureError, Part, limits, text};
 use crate::camera::{Camera, is_rotation};
 
 /// Horizontal field of view along the longer side of a phone's main camera while filming (26–28 mm equivalent, with
@@ -49,7 +49,7 @@ fn bad(message: impl Into<String>, expected: impl Into<String>) -> BadInput {
 }
 
 fn parse(text: &[u8]) -> Result<Camera, BadInput> {
-    let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
+    let text = text::plain(Part::Camera, text)?;
     let json: Map<String, Value> =
         serde_json::from_slice(text).map_err(|e| bad(format!("the JSON cannot be used: {e}"), EXPECTED))?;
     let size = |key: &str| -> Result<u32, BadInput> {

@@ -9,7 +9,7 @@ use serde::Deserializer as _;
 use serde::de::{DeserializeSeed, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use super::keypoint_formats::{Format, NAMES};
-use super::{BadInput, CaptureError, Part, archive, limits, openpose};
+use super::{BadInput, CaptureError, Part, archive, limits, openpose, text};
 
 /// x, y, confidence.
 pub(super) type Point = [f64; 3];
@@ -99,17 +99,9 @@ fn read_json(path: &Path) -> Result<Keypoints, CaptureError> {
     }
     let mut reader = BufReader::new(file);
     let head = reader.fill_buf().map_err(open)?;
-    let marked = head.len() - plain_text(head)?.len();
+    let marked = head.len() - text::plain(Part::Keypoints, head)?.len();
     reader.consume(marked);
     Ok(parse_json(reader)?)
-}
-
-/// A text, or its beginning, without the mark that tools on Windows put before it.
-pub(super) fn plain_text(bytes: &[u8]) -> Result<&[u8], BadInput> {
-    if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") {
-        return Err(BadInput::new(Part::Keypoints, "the text is UTF-16", "JSON in UTF-8"));
-    }
-    Ok(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes))
 }
 
 /// Where in the file the parser is.

@@ -25,6 +25,7 @@ mod smoothing;
 mod source;
 #[cfg(test)]
 mod tests;
+mod text;
 mod video;
 
 pub use calibration::{OddName, odd_name, read as read_camera};

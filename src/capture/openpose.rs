@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::archive::Archive;
 use super::keypoint_formats::{BODY25, Format};
 use super::keypoints::{self, Keypoints, Point};
-use super::{BadInput, CaptureError, Part, limits};
+use super::{BadInput, CaptureError, Part, limits, text};
 use crate::math::median;
 
 const EXPECTED: &str = r#"OpenPose's JSON: {"people": [{"pose_keypoints_2d": [x, y, confidence, …]}]}"#;
@@ -32,16 +32,16 @@ pub(super) fn read(path: &Path) -> Result<Keypoints, CaptureError> {
     }
     if archive.len() == 1 {
         let bytes = archive.read(0, limits::KEYPOINTS_BYTES)?;
-        let text = keypoints::plain_text(&bytes)?;
-        if is_whole_clip(text) {
-            return Ok(keypoints::parse_json(text)?);
+        let whole = text::plain(Part::Keypoints, &bytes)?;
+        if is_whole_clip(whole) {
+            return Ok(keypoints::parse_json(whole)?);
         }
     }
     let mut frames = Vec::with_capacity(archive.len());
     let mut clip = Told::default();
     for frame in 0..archive.len() {
         let bytes = archive.read(frame, limits::OPENPOSE_FRAME_BYTES)?;
-        let people = read_frame(keypoints::plain_text(&bytes)?, &mut clip);
+        let people = read_frame(text::plain(Part::Keypoints, &bytes)?, &mut clip);
         frames.push(people.map_err(|mut bad| {
             bad.message = format!("`{}`: {}", archive.name(frame), bad.message);
             bad.at(frame)

@@ -125,11 +125,7 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
     })?;
     let part = |given: &Option<PathBuf>, name: &str| -> anyhow::Result<Option<PathBuf>> {
         match (given, &args.clip) {
-            (Some(path), _) if path.is_dir() => {
-                bail!("{name}: {} is a folder: make a zip of its files", path.display())
-            }
-            (Some(path), _) if !path.exists() => bail!("{name}: there is no {}", path.display()),
-            (Some(path), _) => Ok(Some(path.clone())),
+            (Some(path), _) => given_file(path, name).map(Some),
             (None, Some(folder)) => find(folder, name),
             (None, None) => Ok(None),
         }
@@ -142,9 +138,17 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
         masks: needed(&args.masks, "masks")?,
         keypoints: needed(&args.keypoints, "keypoints")?,
         camera: part(&args.camera, "camera")?,
-        poses: args.poses.as_ref().map(|path| part(&Some(path.clone()), "poses")).transpose()?.flatten(),
+        poses: args.poses.as_deref().map(|path| given_file(path, "poses")).transpose()?,
     };
     Ok(PipelineInput { files, options })
+}
+
+fn given_file(path: &Path, name: &str) -> anyhow::Result<PathBuf> {
+    match path.metadata() {
+        Err(error) => bail!("{name}: {}: {error}", path.display()),
+        Ok(meta) if meta.is_dir() => bail!("{name}: {} is a folder: make a zip of its files", path.display()),
+        Ok(_) => Ok(path.to_path_buf()),
+    }
 }
 
 /// The file `name.*` of a folder.

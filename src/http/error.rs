@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::jobs::render::RenderError;
 use crate::jobs::{OptionsError, QueueError, State};
+use crate::json::JsonError;
 
 /// A problem document (RFC 9457).
 #[derive(Debug, Serialize, utoipa::ToSchema)]
@@ -111,6 +112,14 @@ impl ApiError {
 
     pub fn internal(error: impl Into<anyhow::Error>) -> Self {
         ApiError::Internal(error.into())
+    }
+
+    /// A mistake in an object of JSON that is the part `within`, or the whole body where that is empty.
+    pub fn json(error: JsonError, within: &str) -> Self {
+        let at: Vec<&str> =
+            [Some(within), error.field.as_deref()].into_iter().flatten().filter(|at| !at.is_empty()).collect();
+        let part = (!at.is_empty()).then(|| at.join("."));
+        ApiError::Malformed { detail: error.message, part, expected: error.expected }
     }
 
     /// A key's quota of bytes, where some are left but too few.

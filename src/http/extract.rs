@@ -30,12 +30,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for ApiJson<T> {
             true => ApiError::TooSlow,
             false => body_error(rejection),
         })?;
-        let value = json::object(&body).map_err(|error| ApiError::Malformed {
-            detail: error.message,
-            part: error.field,
-            expected: error.expected,
-        })?;
-        Ok(ApiJson(value))
+        json::object(&body).map(ApiJson).map_err(|error| ApiError::json(error, ""))
     }
 }
 

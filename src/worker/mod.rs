@@ -27,13 +27,13 @@ mod supervisor;
 #[cfg(test)]
 mod tests;
 
-/// How long a fit may take to write its checkpoint and stop, when its process is asked to end. What waits for the process waits a
-/// little longer: the supervisor, and deploy/ (90 s).
-pub const STOP_GRACE: std::time::Duration = std::time::Duration::from_secs(60);
-
 pub use claims::{Hung, Worker, WorkerSettings};
 pub use device_thread::DeviceThread;
 pub use engine::{DeviceEngine, Engine, FitTask};
 pub use owner::Owner;
 pub use reaper::Reaper;
 pub use supervisor::{Supervisor, SupervisorSettings};
+
+/// How long a fit may take to write its checkpoint and stop, when its process is asked to end. What waits for the process waits a
+/// little longer: the supervisor, and deploy/ (90 s).
+pub const STOP_GRACE: std::time::Duration = std::time::Duration::from_secs(60);

@@ -1,5 +1,6 @@
-//! The program as the tests start it.
+//! The program, and others, as the tests start them.
 
+use std::path::Path;
 use std::process::Command;
 
 use effigy::config::SETTINGS;
@@ -17,4 +18,17 @@ pub fn effigy() -> Command {
         effigy.env_remove(proxy).env_remove(proxy.to_uppercase());
     }
     effigy
+}
+
+/// A script of `tools/`, or `None` after saying that `test` is ignored: its packages are not installed. CI installs them.
+pub fn tool(test: &str, folder: &str, script: &str) -> Option<Command> {
+    let tool = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools").join(folder);
+    if !tool.join("node_modules").exists() {
+        assert!(std::env::var_os("CI").is_none(), "{test}: CI installs tools/{folder}");
+        eprintln!("{test}: ignored, `npm ci --prefix tools/{folder}` was not run");
+        return None;
+    }
+    let mut node = Command::new("node");
+    node.arg(tool.join(script));
+    Some(node)
 }

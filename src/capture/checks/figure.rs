@@ -17,11 +17,11 @@ pub(in crate::capture) struct FigureCheck {
     /// Frames that show shoulders and hips, and those where the hips lie above.
     seen: usize,
     upside_down: usize,
-    first_upside_down: usize,
+    first_upside_down: Option<usize>,
     /// Frames with a known root, and those where it stands on its head before the person's.
     roots: usize,
     roots_turned: usize,
-    first_root_turned: usize,
+    first_root_turned: Option<usize>,
 }
 
 /// In heights of the mask. Of twenty right clips a whole turn has at most 0.0023, and a third or half of one 0.009; points of pictures
@@ -38,7 +38,7 @@ impl FigureCheck {
         self.seen += 1;
         if hips[1] < shoulders[1] - 0.1 * height {
             self.upside_down += 1;
-            self.first_upside_down = if self.upside_down == 1 { frame } else { self.first_upside_down };
+            self.first_upside_down.get_or_insert(frame);
         }
         if let Some(middle) = middle(mask, bounds) {
             self.aside.push((0.5 * (shoulders[0] + hips[0]) - middle) / height);
@@ -62,22 +62,22 @@ impl FigureCheck {
         self.roots += 1;
         if up.x * (shoulders[0] - hips[0]) + up.y * (shoulders[1] - hips[1]) < 0.0 {
             self.roots_turned += 1;
-            self.first_root_turned = if self.roots_turned == 1 { frame } else { self.first_root_turned };
+            self.first_root_turned.get_or_insert(frame);
         }
     }
 
     pub fn finish(&self, warnings: &mut Vec<String>) -> Result<(), BadInput> {
-        if 2 * self.upside_down > self.seen {
+        if let Some(first) = self.first_upside_down.filter(|_| 2 * self.upside_down > self.seen) {
             let message = format!("the person stands upside down in {} of {} frames", self.upside_down, self.seen);
             let expected = "a person who stands upright (where a tag of the video turns its images, masks and keypoints have to \
                             be turned too)";
-            return Err(BadInput::new(Part::Keypoints, message, expected).at(self.first_upside_down));
+            return Err(BadInput::new(Part::Keypoints, message, expected).at(first));
         }
-        if 2 * self.roots_turned > self.roots {
+        if let Some(first) = self.first_root_turned.filter(|_| 2 * self.roots_turned > self.roots) {
             let message = format!("the body stands upside down in {} of {} frames", self.roots_turned, self.roots);
             let expected =
                 "radians, joint 0 in the camera's world: x right, y down, z forward for a camera without rotation";
-            return Err(BadInput::new(Part::Poses, message, expected).at(self.first_root_turned));
+            return Err(BadInput::new(Part::Poses, message, expected).at(first));
         }
         if self.aside.len() >= FRAMES_FOR_ASIDE
             && let Some(aside) = median(self.aside.iter().copied()).filter(|aside| aside.abs() > ASIDE)

@@ -97,5 +97,7 @@ fn text_as_tools_on_windows_write_it_is_read() {
     clip.inputs.camera = clip.add("camera", camera);
     assert_is_the_clip(&clip.load().unwrap(), 12);
     clip.keypoints([b"\xff\xfe".to_vec(), text.encode_utf16().flat_map(u16::to_le_bytes).collect()].concat());
-    assert_eq!(clip.error().message, "the text is UTF-16");
+    assert_eq!((clip.error().part, clip.error().message.as_str()), (Part::Keypoints, "the text is UTF-16"));
+    clip.inputs.camera = clip.add("camera", camera.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>());
+    assert_eq!((clip.error().part, clip.error().message.as_str()), (Part::Camera, "the text is UTF-16"));
 }

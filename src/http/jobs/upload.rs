@@ -17,7 +17,7 @@ use crate::http::error::ApiError;
 use crate::http::pace::Lateness;
 use crate::http::uploads::{self, Turn};
 use crate::jobs::{JobOptions, Part};
-use crate::json;
+use crate::json::{self, JsonError};
 use crate::storage::{ResumableUpload, Store, Upload};
 
 /// The parts of an upload.
@@ -200,13 +200,8 @@ pub(super) async fn receive_json(json: &[u8], store: &Store) -> Result<Received,
 /// An object that is a part of its own, or the body where `part` is empty.
 fn parse_json<T: serde::de::DeserializeOwned>(json: &[u8], part: &str) -> Result<T, ApiError> {
     json::object(json).map_err(|error| {
-        let at: Vec<&str> =
-            [part, error.field.as_deref().unwrap_or("")].into_iter().filter(|text| !text.is_empty()).collect();
-        ApiError::Malformed {
-            detail: error.message,
-            part: (!at.is_empty()).then(|| at.join(".")),
-            expected: Some(error.expected.unwrap_or_else(|| "parts and the ids of their uploads".into())),
-        }
+        let expected = error.expected.or_else(|| Some("parts and the ids of their uploads".into()));
+        ApiError::json(JsonError { expected, ..error }, part)
     })
 }
 

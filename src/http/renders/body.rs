@@ -9,7 +9,7 @@ use crate::http::avatars::check_frame;
 use crate::http::error::ApiError;
 use crate::jobs::Avatar;
 use crate::jobs::render::{Background, ImageRequest, Light, Place, PoseSource, hex_colour};
-use crate::json;
+use crate::json::{self, JsonError};
 
 const POSE_VALUES: usize = 72;
 /// No importer keeps more of a body.
@@ -190,16 +190,11 @@ fn background(text: &str) -> Result<Background, ApiError> {
 }
 
 fn camera(json: Value) -> Result<Camera, ApiError> {
-    let within = |field: &str| Some(if field.is_empty() { "camera".into() } else { format!("camera.{field}") });
+    let wrong = |error| ApiError::json(error, "camera");
     if let Some(OddName { name, message, expected }) = json.as_object().and_then(odd_name) {
-        return Err(ApiError::Malformed { detail: message, part: within(&name), expected: Some(expected) });
+        return Err(wrong(JsonError { field: Some(name), message, expected: Some(expected) }));
     }
-    let read: CameraBody = json::of_value(json).map_err(|error| ApiError::Malformed {
-        part: within(error.field.as_deref().unwrap_or("")),
-        detail: error.message,
-        expected: error.expected,
-    })?;
-    read.check()
+    json::of_value::<CameraBody>(json).map_err(wrong)?.check()
 }
 
 impl CameraBody {

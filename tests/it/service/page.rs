@@ -1,8 +1,7 @@
 //! The page for people.
 
-use std::path::Path;
-
 use super::*;
+use crate::program;
 
 #[tokio::test]
 async fn the_page_comes_whole_from_the_server_itself() {
@@ -50,12 +49,8 @@ async fn the_page_comes_whole_from_the_server_itself() {
 
 #[test]
 fn the_script_shows_what_the_api_says() {
-    let tool = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/page");
-    if !tool.join("node_modules").exists() {
-        assert!(std::env::var_os("CI").is_none(), "CI installs tools/page");
-        eprintln!("the_script_shows_what_the_api_says: ignored, `npm ci --prefix tools/page` was not run");
-        return;
-    }
-    let verdict = std::process::Command::new("node").arg(tool.join("page.mjs")).output().unwrap();
+    let tool = program::tool("the_script_shows_what_the_api_says", "page", "page.mjs");
+    let Some(mut tool) = tool else { return };
+    let verdict = tool.output().unwrap();
     assert!(verdict.status.success(), "{}", String::from_utf8_lossy(&verdict.stderr));
 }

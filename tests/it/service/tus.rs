@@ -2,7 +2,6 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use base64::Engine;
@@ -352,12 +351,8 @@ fn an_upload_survives_cuts_and_restarts() {
 
 #[test]
 fn the_webs_own_client_resumes_over_a_kill() {
-    let tool = Path::new(env!("CARGO_MANIFEST_DIR")).join("tools/tus-client");
-    if !tool.join("node_modules").exists() {
-        assert!(std::env::var_os("CI").is_none(), "CI installs tools/tus-client");
-        eprintln!("the_webs_own_client_resumes_over_a_kill: ignored, `npm ci --prefix tools/tus-client` was not run");
-        return;
-    }
+    let tool = crate::program::tool("the_webs_own_client_resumes_over_a_kill", "tus-client", "upload.mjs");
+    let Some(mut tool) = tool else { return };
     let folder = tempfile::tempdir().unwrap();
     let (data, file) = (folder.path().join("data"), folder.path().join("clip"));
     let mut content = vec![0; 6 << 20];
@@ -365,12 +360,8 @@ fn the_webs_own_client_resumes_over_a_kill() {
     std::fs::write(&file, &content).unwrap();
     let serve = Serve::start(&data, &["--workers", "0"]);
     let address = serve.url.strip_prefix("http://").unwrap().to_string();
-    let mut client = std::process::Command::new("node")
-        .arg(tool.join("upload.mjs"))
-        .args([&serve.url, file.to_str().unwrap()])
-        .stdout(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut client =
+        tool.args([&serve.url, file.to_str().unwrap()]).stdout(std::process::Stdio::piped()).spawn().unwrap();
     // The client sends slowly; in the middle the server dies and comes back at the same address.
     let uploads = data.join("uploads");
     let came = || -> u64 {

@@ -190,9 +190,9 @@ async fn too_much_is_refused_with_the_limit() {
     let options = Form::clip().with("options", vec![b' '; 70_000]);
     assert_eq!(bench.upload(&options).await.problem(413)["part"], "options");
     let bench_of_more = Bench::new().await;
-    for (part, bytes, limit) in [("uploads", 70_000, 65_536), ("camera", 70_000, 65_536)] {
-        let problem = bench_of_more.upload(&Form::clip().with(part, vec![b' '; bytes])).await.problem(413);
-        assert_eq!((&problem["part"], &problem["expected"]), (&json!(part), &json!(format!("at most {limit} bytes"))));
+    for part in ["uploads", "camera"] {
+        let problem = bench_of_more.upload(&Form::clip().with(part, vec![b' '; 70_000])).await.problem(413);
+        assert_eq!((&problem["part"], &problem["expected"]), (&json!(part), &json!("at most 65536 bytes")));
     }
     bench.assert_empty();
     assert_eq!(bench.upload(&Form::clip()).await.status, 202);
