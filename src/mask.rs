@@ -5,6 +5,11 @@ pub const fn is_foreground(value: u8) -> bool {
     value >= 128
 }
 
+/// Whether a pixel is certainly not the person: what compression leaves of black lies below.
+pub const fn is_black(value: u8) -> bool {
+    value < 32
+}
+
 /// The value without what lies between: 255 for the person, 0 for all else.
 pub const fn binary(value: u8) -> u8 {
     if is_foreground(value) { 255 } else { 0 }

@@ -9,6 +9,7 @@ use image::{DynamicImage, ImageDecoder, ImageReader};
 
 use super::archive::Archive;
 use super::limits::{self, IMAGE_BYTES};
+use super::labels::{self, Kind};
 use super::source::{Picture, Pixels};
 use super::{BadInput, CaptureError, Part, video};
 
@@ -16,9 +17,14 @@ pub(super) struct ImageStream {
     part: Part,
     archive: Archive,
     pixels: Pixels,
+    /// Masks are maps of labels.
+    labels: bool,
     next: usize,
     deadline: Instant,
 }
+
+/// So many masks, spread over a zip, tell whether they are maps of labels.
+const LOOKED_AT: usize = 5;
 
 impl ImageStream {
     pub fn open(part: Part, path: &Path, pixels: Pixels, deadline: Instant) -> Result<Self, CaptureError> {
@@ -26,7 +32,33 @@ impl ImageStream {
         if archive.len() > limits::FRAMES {
             return Err(limits::too_many_frames(part).into());
         }
-        Ok(Self { part, archive, pixels, next: 0, deadline })
+        let mut stream = Self { part, archive, pixels, labels: false, next: 0, deadline };
+        if part == Part::Masks {
+            stream.labels = stream.holds_labels()?;
+        }
+        Ok(stream)
+    }
+
+    /// Whether those of some masks that show anything are maps of labels. What cannot be read is told when its turn comes.
+    fn holds_labels(&mut self) -> Result<bool, CaptureError> {
+        let (mut labels, count) = (false, self.archive.len());
+        for k in 0..LOOKED_AT.min(count) {
+            let bytes = self.archive.read(k * count / LOOKED_AT.min(count), IMAGE_BYTES)?;
+            match self.image(&bytes).map(|image| Kind::of(&image)) {
+                Ok(Kind::Labels) => labels = true,
+                Ok(Kind::Black) => {}
+                Ok(Kind::Other) | Err(_) => return Ok(false),
+            }
+        }
+        Ok(labels)
+    }
+
+    pub fn warnings(&self) -> Vec<String> {
+        let part = self.part;
+        let ignored = format!("{part}: {} files of the zip are no images and were ignored", self.archive.ignored);
+        let labels = format!("{part}: maps of labels, whatever is not black is taken for the person");
+        let told = [(self.archive.ignored > 0, ignored), (self.labels, labels)];
+        told.into_iter().filter(|(applies, _)| *applies).map(|(_, warning)| warning).collect()
     }
 
     pub fn ignored(&self) -> usize {
@@ -64,28 +96,43 @@ impl ImageStream {
     }
 
     fn decode(&self, bytes: &[u8], want: bool) -> Result<Picture, Reason> {
-        let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(image::ImageError::IoError)?;
-        let mut decoder = reader.into_decoder()?;
-        let (width, height) = decoder.dimensions();
-        limits::check_image_size(self.part, width, height)?;
-        let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
         if !want {
             // What was written half has its header, too. JPEG's decoder takes what is there.
             if bytes.starts_with(PNG_START) && !bytes.windows(PNG_END.len()).rev().any(|end| end == PNG_END) {
                 let cut_off = std::io::Error::new(std::io::ErrorKind::UnexpectedEof, "it is cut off");
                 return Err(image::ImageError::IoError(cut_off).into());
             }
+            let (decoder, orientation) = self.header(bytes)?;
+            let (width, height) = decoder.dimensions();
             let (width, height) = if is_quarter_turn(orientation) { (height, width) } else { (width, height) };
             return Ok(Picture { width, height, data: Vec::new() });
         }
-        let mut image = DynamicImage::from_decoder(decoder)?;
-        image.apply_orientation(orientation);
+        let image = self.image(bytes)?;
         let (width, height) = (image.width(), image.height());
         let data = match self.pixels {
             Pixels::Rgb => image.into_rgb8().into_raw(),
+            Pixels::Mask if self.labels => labels::mask(&image),
             Pixels::Mask => matte(&image),
         };
         Ok(Picture { width, height, data })
+    }
+
+    /// An image of a size that is allowed, and how it is turned.
+    fn header<'a>(&self, bytes: &'a [u8]) -> Result<(impl ImageDecoder + 'a, Orientation), Reason> {
+        let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(image::ImageError::IoError)?;
+        let mut decoder = reader.into_decoder()?;
+        let (width, height) = decoder.dimensions();
+        limits::check_image_size(self.part, width, height)?;
+        let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        Ok((decoder, orientation))
+    }
+
+    /// The image, upright.
+    fn image(&self, bytes: &[u8]) -> Result<DynamicImage, Reason> {
+        let (decoder, orientation) = self.header(bytes)?;
+        let mut image = DynamicImage::from_decoder(decoder)?;
+        image.apply_orientation(orientation);
+        Ok(image)
     }
 }
 

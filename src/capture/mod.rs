@@ -15,6 +15,7 @@ mod hdr;
 mod images;
 mod keypoint_formats;
 mod keypoints;
+mod labels;
 mod lens;
 mod limits;
 mod masks;

@@ -13,7 +13,7 @@ use super::{BadInput, CaptureError, Part, limits};
 pub(super) enum Pixels {
     /// `[height, width, 3]`
     Rgb,
-    /// `[height, width]`: luma, or alpha where that is the mask.
+    /// `[height, width]`: luma, alpha where that is the mask, or whether there is a label.
     Mask,
 }
 
@@ -51,10 +51,7 @@ impl Source {
     pub fn open(part: Part, path: &Path, pixels: Pixels, fast: bool, deadline: Instant) -> Result<Self, CaptureError> {
         if archive::is_zip(path)? {
             let stream = ImageStream::open(part, path, pixels, deadline)?;
-            let mut warnings = Vec::new();
-            if stream.ignored() > 0 {
-                warnings.push(format!("{part}: {} files of the zip are no images and were ignored", stream.ignored()));
-            }
+            let warnings = stream.warnings();
             return Ok(Self {
                 stream: Stream::Images(Box::new(stream)),
                 part,

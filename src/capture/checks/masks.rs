@@ -3,7 +3,7 @@
 use crate::capture::rectify::Rect;
 use crate::capture::source::Picture;
 use crate::capture::{BadInput, Part};
-use crate::mask::is_foreground;
+use crate::mask::{is_black, is_foreground};
 
 /// The masks seen so far.
 #[derive(Default)]
@@ -24,15 +24,13 @@ pub(in crate::capture) struct MaskCheck {
 
 /// The part of a picture's border that no person covers.
 const MOST_OF_THE_BORDER: f64 = 0.75;
-/// From here on a value is no longer black: what compression leaves lies below.
-const GREY: u8 = 32;
 /// Pixels between black and foreground, for each one of the foreground: soft edges of somebody small come to a third.
 const MOST_GREY: f64 = 0.75;
 
 const SURROUNDED: &str = "the person's pixels at 128 or more and all others below, best 255 and 0: masks that are inverted, or \
                           pictures of the person on a light background, are the other way round";
 const PICTURES: &str = "the person's pixels at 128 or more and all others below 32, best 255 and 0: a person cut out on black is \
-                        no mask, but one with transparency (PNG) is";
+                        no mask, but one with transparency (PNG) is, and so are maps of labels that are exactly 0 elsewhere";
 
 /// The part of the outermost pixels that is foreground.
 fn border_covered(mask: &Picture) -> f64 {
@@ -71,7 +69,7 @@ impl MaskCheck {
             self.surrounded += 1;
             self.first_surrounded.get_or_insert(frame);
         }
-        let grey = mask.data.iter().filter(|&&v| v >= GREY && !is_foreground(v)).count();
+        let grey = mask.data.iter().filter(|&&v| !is_black(v) && !is_foreground(v)).count();
         if grey as f64 > MOST_GREY * pixels as f64 {
             self.grey += 1;
             self.first_grey.get_or_insert(frame);

@@ -78,3 +78,29 @@ fn masks_by_themselves_are_read_as_a_clips_are() {
     clip.masks(b"no masks");
     assert!(masks(&clip.inputs.masks, None, &[0]).is_err());
 }
+
+#[test]
+fn masks_that_are_maps_of_labels() {
+    let mut clip = Clip::new();
+    let told = |warnings: &[String]| warnings.iter().filter(|w| w.contains("maps of labels")).count();
+    // Numbers of parts; the first frame shows nobody.
+    let part = |i: usize, k: usize| if i == 0 { 0 } else { 1 + (k / 640) as u8 % 5 };
+    let numbers = |i| -> Vec<u8> {
+        mask(i).into_iter().enumerate().map(|(k, v)| if v > 0 { part(i, k) } else { 0 }).collect()
+    };
+    let number = |i| png(&numbers(i), WIDTH, HEIGHT, image::ExtendedColorType::L8);
+    clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), number(i)))));
+    let capture = clip.load().unwrap();
+    assert_eq!(told(&capture.warnings), 1, "{:?}", capture.warnings);
+    let found = masks(&clip.inputs.masks, None, &[0, 2]).unwrap();
+    let found: Vec<_> = found.into_iter().map(|mask| mask.unwrap().into_raw()).collect();
+    assert_eq!(found, [vec![0; (WIDTH * HEIGHT) as usize], mask(2)]);
+    // Their colours.
+    let colours = |i| -> Vec<u8> {
+        numbers(i).into_iter().flat_map(|n| if n == 0 { [0; 3] } else { [250 / n, 0, 40 * n] }).collect()
+    };
+    let colour = |i| png(&colours(i + 1), WIDTH, HEIGHT, image::ExtendedColorType::Rgb8);
+    clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), colour(i)))));
+    let found = masks(&clip.inputs.masks, None, &[2]).unwrap();
+    assert_eq!(found[0].as_ref().unwrap().as_raw(), &mask(3));
+}

@@ -28,6 +28,9 @@ const MIDDLE: f32 = 0.15;
 /// Cloth is no trousers where it closes a gap that is this wide between the naked legs, metres. Skirts to the knees and longer
 /// close 18 cm and more; overalls with a low crotch, wide trousers and heavy thighs less than 7 (docs/lab/skirt.md).
 const GAP_M: f32 = 0.1;
+/// As much of that gap as would be there if the legs hung straight down from the hips, metres: somebody who stands astride has a wide gap
+/// close below the crotch, which any trousers close. Skirts close 11 cm of it, trousers 3 at most.
+const HUNG_GAP_M: f32 = 0.04;
 /// Heights over which filling begins below the hip, and filling and carrying end at the hem, of a leg.
 const FADE: f32 = 0.04;
 /// The same towards a leg's axis, of its distance from the middle, and for carrying above the hip, of a leg.
@@ -63,15 +66,17 @@ impl Skirt {
         let naked = Standing::new(body, state, &vec![0.0; state.offsets.len()]);
         let rows = (0..ROWS).map(|row| row as f32 / ROWS as f32).skip_while(|&along| along < CROTCH);
         let closed = rows.take_while(|&along| dressed.section(along).iter().any(|p| p.x.abs() < MIDDLE));
-        let (mut hem, mut widest) = (None, 0.0f32);
+        let (mut hem, mut is_wide) = (None, false);
         for along in closed {
             let nearest = naked.section(along).iter().map(|p| p.x.abs()).fold(f32::INFINITY, f32::min);
             if nearest.is_finite() {
-                widest = widest.max(2.0 * nearest * naked.half_width(along));
+                let half = naked.half_width(along);
+                let leg = (1.0 - nearest) * half * naked.slant();
+                is_wide |= 2.0 * nearest * half > GAP_M && 2.0 * (naked.half_width(0.0) - leg) > HUNG_GAP_M;
             }
             hem = Some(along);
         }
-        hem.filter(|_| widest > GAP_M).map(|hem| Self { hem })
+        hem.filter(|_| is_wide).map(|hem| Self { hem })
     }
 
     /// Makes one piece of what the fit has shaped of two legs. `body` loses faces and changes its weights, `state` those faces'
@@ -319,6 +324,21 @@ mod tests {
         wear(&body, &mut state, 0.6);
         let hem = Skirt::find(&body, &state).expect("a skirt").hem;
         assert!((0.45..0.65).contains(&hem), "{hem}");
+    }
+
+    #[test]
+    fn somebody_who_stands_astride_wears_trousers_until_much_is_closed() {
+        let body = Body::test_body();
+        let mut state = standing(&body);
+        for pose in state.poses.chunks_mut(N_POSE) {
+            (pose[APART[0]], pose[APART[1]]) = (0.6, -0.6);
+        }
+        let naked = state.clone();
+        wear(&body, &mut state, 0.2);
+        assert_eq!(Skirt::find(&body, &state), None);
+        let mut state = naked;
+        wear(&body, &mut state, 0.6);
+        assert!(Skirt::find(&body, &state).is_some());
     }
 
     #[test]

@@ -61,6 +61,13 @@ impl Standing {
         (0.5 * (left - right)).max(1e-3)
     }
 
+    /// The cosine of the angle by which legs slant outwards: how wide they are across, of how wide they are in a section.
+    pub(super) fn slant(&self) -> f32 {
+        let outwards = self.half_width(1.0) - self.half_width(0.0);
+        let down = self.height(0) - self.height(2);
+        down / down.hypot(outwards)
+    }
+
     /// x between the legs' axes (−1 the right one's, 1 the left one's), y from hip (0) to ankle (1).
     pub(super) fn place(&self, v: usize) -> Vec2 {
         let [x, y, _] = self.posed.vertices[v];

@@ -30,7 +30,8 @@ pub(super) struct UploadForm {
     #[schema(value_type = String, format = Binary)]
     video: Vec<u8>,
     /// Who is the person: a video or a zip of PNG or JPEG, one for each frame; 128 and above is foreground, below 32 is not; masks
-    /// that are mostly between, or that have most of the picture's border, are refused. Where there is transparency, it is the mask. `ffmpeg -i video -fps_mode passthrough frames/%05d.png` takes a video apart frame by frame.
+    /// that are mostly between, or that have most of the picture's border, are refused. Where there is transparency, it is the mask. Of
+    /// images that are maps of labels, in colours or small numbers (0 and 1, say), whatever is not black is the person. `ffmpeg -i video -fps_mode passthrough frames/%05d.png` takes a video apart frame by frame.
     /// Frames without anybody are left out, if they are no more than half.
     #[schema(value_type = String, format = Binary)]
     masks: Vec<u8>,
