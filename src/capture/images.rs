@@ -8,8 +8,8 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageReader};
 
 use super::archive::Archive;
-use super::limits::{self, IMAGE_BYTES};
 use super::labels::{self, Kind};
+use super::limits::{self, IMAGE_BYTES};
 use super::source::{Picture, Pixels};
 use super::{BadInput, CaptureError, Part, video};
 

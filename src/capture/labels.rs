@@ -33,7 +33,7 @@ impl Kind {
             for pixel in row {
                 let here = pixel.0;
                 (black, set) = (black || here == [0; 3], set + usize::from(here != [0; 3]));
-                flat += usize::from(here != [0; 3] && here == before);
+                flat += usize::from(here != [0; 3] && is_alike(here, before));
                 if here != before && here != [0; 3] && !labels.contains(&here) {
                     if labels.len() == MOST_LABELS {
                         return Self::Other;
@@ -43,7 +43,7 @@ impl Kind {
                 before = here;
             }
         }
-        let is_coloured = labels.iter().any(|[r, g, b]| r != g || g != b);
+        let is_coloured = labels.iter().any(is_coloured);
         let is_dark = labels.iter().flatten().all(|&value| is_black(value));
         match (set, black && flat as f64 > FLAT * set as f64 && (is_coloured || is_dark)) {
             (0, _) => Self::Black,
@@ -51,6 +51,15 @@ impl Kind {
             (_, false) => Self::Other,
         }
     }
+}
+
+fn is_coloured([r, g, b]: &[u8; 3]) -> bool {
+    r != g || g != b
+}
+
+/// Whether two pixels have one label. Renderers round a colour up here and down there; of numbers each is its own.
+fn is_alike(a: [u8; 3], b: [u8; 3]) -> bool {
+    a == b || is_coloured(&a) && a.iter().zip(b).all(|(a, b)| a.abs_diff(b) <= 1)
 }
 
 /// The mask in a map: whatever has a label.
@@ -71,6 +80,13 @@ mod tests {
             false => Rgb([0; 3]),
         };
         RgbImage::from_fn(60, 60, paint).into()
+    }
+
+    #[test]
+    fn colours_that_were_rounded_are_labels() {
+        let paint =
+            |x: u32, y: u32| if (20..40).contains(&x) { Rgb([254 + (x + y) as u8 % 2, 85, 0]) } else { Rgb([0; 3]) };
+        assert_eq!(Kind::of(&RgbImage::from_fn(60, 60, paint).into()), Kind::Labels);
     }
 
     #[test]

@@ -129,7 +129,11 @@ fn empty_masks() {
     assert_eq!((bad.frame, bad.message.as_str()), (Some(0), "nothing of the mask is left at 11×16 pixels"));
     clip.keypoints(keypoint_json(&(0..COUNT).map(points).collect::<Vec<_>>()));
     // Of a video, what is nearly black may as well be what compression has left.
-    clip.masks(&encode((0..COUNT).map(|i| mask(i).into_iter().map(|v| v.min(1)).collect()), "gray", &["-c:v", "ffv1", "-f", "matroska"]));
+    clip.masks(&encode(
+        (0..COUNT).map(|i| mask(i).into_iter().map(|v| v.min(1)).collect()),
+        "gray",
+        &["-c:v", "ffv1", "-f", "matroska"],
+    ));
     assert_error(&clip, Part::Masks, None, "all 12 masks are empty; their brightest pixel is 1");
 }
 

@@ -85,9 +85,8 @@ fn masks_that_are_maps_of_labels() {
     let told = |warnings: &[String]| warnings.iter().filter(|w| w.contains("maps of labels")).count();
     // Numbers of parts; the first frame shows nobody.
     let part = |i: usize, k: usize| if i == 0 { 0 } else { 1 + (k / 640) as u8 % 5 };
-    let numbers = |i| -> Vec<u8> {
-        mask(i).into_iter().enumerate().map(|(k, v)| if v > 0 { part(i, k) } else { 0 }).collect()
-    };
+    let numbers =
+        |i| -> Vec<u8> { mask(i).into_iter().enumerate().map(|(k, v)| if v > 0 { part(i, k) } else { 0 }).collect() };
     let number = |i| png(&numbers(i), WIDTH, HEIGHT, image::ExtendedColorType::L8);
     clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), number(i)))));
     let capture = clip.load().unwrap();
