@@ -81,7 +81,7 @@ fn masks_by_themselves_are_read_as_a_clips_are() {
 
 #[test]
 fn masks_that_are_maps_of_labels() {
-    let mut clip = Clip::new();
+    let clip = Clip::new();
     let told = |warnings: &[String]| warnings.iter().filter(|w| w.contains("maps of labels")).count();
     // Numbers of parts; the first frame shows nobody.
     let part = |i: usize, k: usize| if i == 0 { 0 } else { 1 + (k / 640) as u8 % 5 };
@@ -96,7 +96,7 @@ fn masks_that_are_maps_of_labels() {
     assert_eq!(found, [vec![0; (WIDTH * HEIGHT) as usize], mask(2)]);
     // Their colours.
     let colours = |i| -> Vec<u8> {
-        numbers(i).into_iter().flat_map(|n| if n == 0 { [0; 3] } else { [250 / n, 0, 40 * n] }).collect()
+        numbers(i).into_iter().flat_map(|n| [50 * n, 0, if n == 0 { 0 } else { 250 }]).collect()
     };
     let colour = |i| png(&colours(i + 1), WIDTH, HEIGHT, image::ExtendedColorType::Rgb8);
     clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), colour(i)))));
