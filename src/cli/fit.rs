@@ -120,8 +120,8 @@ fn input_of(args: &Args) -> anyhow::Result<PipelineInput> {
         ..JobOptions::default()
     };
     options.check().map_err(|error| match &error.expected {
-        Some(expected) => anyhow!("{error}, expected {expected}"),
-        None => error.into(),
+        Some(expected) => anyhow!("options: {error}, expected {expected}"),
+        None => anyhow!("options: {error}"),
     })?;
     let part = |given: &Option<PathBuf>, name: &str| -> anyhow::Result<Option<PathBuf>> {
         match (given, &args.clip) {

@@ -41,14 +41,10 @@ async fn serve(in_force: InForce) -> Result<()> {
         bail!("another server uses the data folder {}", store.root().display());
     };
     let env = Env::system();
-    let queue = match begin(&store, &env, config).await {
-        Err(full) if full.chain().filter_map(|e| e.downcast_ref::<QueueError>()).any(QueueError::is_disk_full) => {
-            tracing::warn!("the disk is full: what is kept for deletions is given up to start");
-            store.drop_ballast().context("making a little room")?;
-            begin(&store, &env, config).await?
-        }
-        begun => begun?,
+    let is_full = |error: &anyhow::Error| {
+        error.chain().filter_map(|e| e.downcast_ref::<QueueError>()).any(QueueError::is_disk_full)
     };
+    let queue = store.despite_full_disk(is_full, || begin(&store, &env, config)).await?;
     store.load_ballast().context("keeping a little room for deletions")?;
     let reaper = tokio::spawn(Reaper { queue: queue.clone(), store: store.clone() }.run());
 

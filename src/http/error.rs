@@ -6,7 +6,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
 use crate::jobs::render::RenderError;
-use crate::jobs::{OptionsError, QueueError, State};
+use crate::jobs::{QueueError, State};
 use crate::json::JsonError;
 
 /// A problem document (RFC 9457).
@@ -49,8 +49,8 @@ pub enum ApiError {
     Malformed { detail: String, part: Option<String>, expected: Option<String> },
     #[error("{0}")]
     MediaType(String),
-    #[error("{0}")]
-    Options(#[from] OptionsError),
+    #[error("options: {0}")]
+    Options(JsonError),
     /// The form is right, the content cannot be used.
     #[error("{detail}")]
     Input { detail: String, part: String, frame: Option<u32>, expected: String },
@@ -105,6 +105,13 @@ const QUEUE_RETRY_AFTER_SECS: u32 = 60;
 /// The same for a quota, which frees up when a job ends or is deleted.
 const QUOTA_RETRY_SECS: u32 = 60;
 
+/// Where a mistake in JSON is that is the part `within`, or the whole body where that is empty.
+fn part_of(error: &JsonError, within: &str) -> Option<String> {
+    let at: Vec<&str> =
+        [Some(within), error.field.as_deref()].into_iter().flatten().filter(|at| !at.is_empty()).collect();
+    (!at.is_empty()).then(|| at.join("."))
+}
+
 impl ApiError {
     pub fn malformed(detail: impl Into<String>) -> Self {
         ApiError::Malformed { detail: detail.into(), part: None, expected: None }
@@ -116,9 +123,7 @@ impl ApiError {
 
     /// A mistake in an object of JSON that is the part `within`, or the whole body where that is empty.
     pub fn json(error: JsonError, within: &str) -> Self {
-        let at: Vec<&str> =
-            [Some(within), error.field.as_deref()].into_iter().flatten().filter(|at| !at.is_empty()).collect();
-        let part = (!at.is_empty()).then(|| at.join("."));
+        let part = part_of(&error, within);
         ApiError::Malformed { detail: error.message, part, expected: error.expected }
     }
 
@@ -195,10 +200,7 @@ impl ApiError {
                 problem.expected = expected.clone();
             }
             ApiError::Options(error) => {
-                problem.part = Some(match &error.field {
-                    Some(field) => format!("options.{field}"),
-                    None => "options".into(),
-                });
+                problem.part = part_of(error, "options");
                 problem.expected = error.expected.clone();
             }
             ApiError::Input { part, frame, expected, .. } => {

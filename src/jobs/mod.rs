@@ -24,7 +24,7 @@ pub use job::{
     Remembered, State,
 };
 pub use leaps::Leaps;
-pub use options::{JobOptions, OptionsError, Preset};
+pub use options::{JobOptions, Preset};
 pub use queue::{
     Change, Deletion, Figures, Lease, ListFilter, Policy, ProgressReport, Queue, QueueError, Reaped, Repeat, StageTime,
     Standing,

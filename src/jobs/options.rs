@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::data_dir::{BODY_NAME, is_body_name};
+use crate::json::{self, JsonError};
 
 /// How much work a fit does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -78,31 +79,17 @@ impl Default for JobOptions {
     }
 }
 
-/// Options that cannot be followed.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("options: {message}")]
-pub struct OptionsError {
-    /// The field at fault, where one is.
-    pub field: Option<String>,
-    pub message: String,
-    pub expected: Option<String>,
-}
-
 impl JobOptions {
     /// Reads and checks the JSON of the `options` part.
-    pub fn parse(json: &[u8]) -> Result<JobOptions, OptionsError> {
-        let options: JobOptions = crate::json::object(json).map_err(|error| OptionsError {
-            field: error.field,
-            message: error.message,
-            expected: error.expected,
-        })?;
+    pub fn parse(json: &[u8]) -> Result<JobOptions, JsonError> {
+        let options: JobOptions = json::object(json)?;
         options.check()?;
         Ok(options)
     }
 
     /// Ranges that the types do not hold.
-    pub fn check(&self) -> Result<(), OptionsError> {
-        let wrong = |field: &str, got: String, expected: &str| OptionsError {
+    pub fn check(&self) -> Result<(), JsonError> {
+        let wrong = |field: &str, got: String, expected: &str| JsonError {
             field: Some(field.into()),
             message: format!("{field} is {got}"),
             expected: Some(expected.into()),

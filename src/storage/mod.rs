@@ -28,7 +28,9 @@ use std::collections::HashSet;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use tokio::sync::Mutex;
 use uuid::Uuid;
 
 use crate::atomic_file::sync_dir;
@@ -44,6 +46,8 @@ pub use upload::{PartWriter, Upload};
 pub struct Store {
     root: PathBuf,
     reserve_bytes: u64,
+    /// Held while the ballast is given up for something.
+    ballast: Arc<Mutex<()>>,
 }
 
 impl Store {
@@ -53,7 +57,7 @@ impl Store {
     /// Makes the folders that are missing.
     pub fn open(root: &Path) -> io::Result<Store> {
         fs::create_dir_all(root)?;
-        let store = Store { root: root.canonicalize()?, reserve_bytes: 0 };
+        let store = Store { root: root.canonicalize()?, reserve_bytes: 0, ballast: Arc::default() };
         for folder in [store.tmp(), store.jobs(), store.bodies(), store.renders(), store.workers(), store.uploads()] {
             fs::create_dir_all(folder)?;
         }

@@ -1,8 +1,9 @@
 //! Room on the disk: a reserve that new work must leave free, and ballast that makes room for a deletion when there is
 //! none at all.
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, Write};
+use std::fs::OpenOptions;
+use std::future::Future;
+use std::io::{self, Seek, SeekFrom, Write};
 
 use super::Store;
 
@@ -48,27 +49,93 @@ impl Store {
 
     /// Puts the ballast (back) in place, as far as there is room for it. Real bytes: a hole would keep nothing free.
     pub fn load_ballast(&self) -> io::Result<()> {
-        let there = self.ballast().metadata().map_or(0, |meta| meta.len());
+        let there = self.ballast_file().metadata().map_or(0, |meta| meta.len());
         // It is what the reserve is for: a deletion takes little of it, and frees what it can be filled from.
-        let bytes = BALLAST_BYTES.min(there.saturating_add(self.free_bytes()?));
-        if there >= bytes {
+        let missing = BALLAST_BYTES.saturating_sub(there).min(self.free_bytes()?);
+        if missing == 0 {
             return Ok(());
         }
-        let mut file = File::create(self.ballast())?;
-        file.write_all(&vec![0x5a; bytes as usize])?;
+        // Two that load at once write the same bytes.
+        let mut file = OpenOptions::new().create(true).write(true).truncate(false).open(self.ballast_file())?;
+        file.seek(SeekFrom::Start(there))?;
+        file.write_all(&vec![0x5a; missing as usize])?;
         file.sync_all()
     }
 
+    /// The same where nobody waits for it; not while it is given up for something.
+    pub fn reload_ballast(&self) {
+        let Ok(_all_there) = self.ballast.try_lock() else { return };
+        if let Err(error) = self.load_ballast() {
+            tracing::warn!(%error, "no room is kept for deletions");
+        }
+    }
+
+    /// Does what must be possible on a disk without a byte left, where the database cannot even write that something goes: if
+    /// `is_full` says that it failed for that, the ballast makes room and it is done once more. [`Store::reload_ballast`] is for when there is room again.
+    pub async fn despite_full_disk<T, E, F>(&self, is_full: fn(&E) -> bool, attempt: impl Fn() -> F) -> Result<T, E>
+    where
+        F: Future<Output = Result<T, E>>,
+    {
+        match attempt().await {
+            Err(full) if is_full(&full) => {
+                tracing::warn!("the disk is full: what is kept for deletions is given up");
+                let _given_up = self.ballast.lock().await;
+                if let Err(error) = self.drop_ballast() {
+                    tracing::warn!(%error, "there is nothing to give up");
+                    return Err(full);
+                }
+                attempt().await
+            }
+            other => other,
+        }
+    }
+
     /// Makes a little room on a full disk.
-    pub fn drop_ballast(&self) -> io::Result<()> {
-        match OpenOptions::new().write(true).open(self.ballast()) {
+    fn drop_ballast(&self) -> io::Result<()> {
+        match OpenOptions::new().write(true).open(self.ballast_file()) {
             Ok(file) => file.set_len(0),
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
             Err(error) => Err(error),
         }
     }
 
-    fn ballast(&self) -> std::path::PathBuf {
+    fn ballast_file(&self) -> std::path::PathBuf {
         self.root.join("ballast")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+
+    #[tokio::test]
+    async fn the_ballast_is_given_up_once_for_what_fails_on_a_full_disk_and_comes_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        store.load_ballast().unwrap();
+        let there = || store.ballast_file().metadata().unwrap().len();
+        assert_eq!(there(), BALLAST_BYTES);
+        let attempts = AtomicUsize::new(0);
+        let is_full = |error: &&str| *error == "full";
+        let fails_with = |error, times| {
+            attempts.store(0, Ordering::Relaxed);
+            let (store, attempts) = (&store, &attempts);
+            store.despite_full_disk(is_full, move || async move {
+                // Not from under what is done on the room it makes.
+                store.reload_ballast();
+                let attempt = attempts.fetch_add(1, Ordering::Relaxed);
+                if attempt < times { Err(error) } else { Ok(store.ballast_file().metadata().unwrap().len()) }
+            })
+        };
+        assert_eq!(fails_with("full", 0).await, Ok(BALLAST_BYTES));
+        assert_eq!(fails_with("broken", 2).await, Err("broken"));
+        assert_eq!((attempts.load(Ordering::Relaxed), there()), (1, BALLAST_BYTES));
+        assert_eq!(fails_with("full", 1).await, Ok(0));
+        store.reload_ballast();
+        assert_eq!(there(), BALLAST_BYTES);
+        assert_eq!(fails_with("full", 2).await, Err("full"));
+        assert_eq!((attempts.load(Ordering::Relaxed), there()), (2, 0));
     }
 }

@@ -28,20 +28,11 @@ impl Reaper {
         }
     }
 
-    /// On a disk without a byte left the database cannot even write that something goes: the ballast makes room for that.
+    /// One look, even on a full disk; then what is kept for deletions is loaded again, whoever gave it up.
     pub async fn round(&self) -> Result<(), QueueError> {
-        match self.look().await {
-            Err(full) if full.is_disk_full() => {
-                let ballast = |what: std::io::Result<()>| {
-                    what.unwrap_or_else(|error| tracing::warn!(%error, "no room is kept for deletions"));
-                };
-                ballast(self.store.drop_ballast());
-                let again = self.look().await;
-                ballast(self.store.load_ballast());
-                again
-            }
-            round => round,
-        }
+        let looked = self.store.despite_full_disk(QueueError::is_disk_full, || self.look()).await;
+        self.store.reload_ballast();
+        looked
     }
 
     async fn look(&self) -> Result<(), QueueError> {

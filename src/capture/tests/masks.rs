@@ -95,9 +95,8 @@ fn masks_that_are_maps_of_labels() {
     let found: Vec<_> = found.into_iter().map(|mask| mask.unwrap().into_raw()).collect();
     assert_eq!(found, [vec![0; (WIDTH * HEIGHT) as usize], mask(2)]);
     // Their colours.
-    let colours = |i| -> Vec<u8> {
-        numbers(i).into_iter().flat_map(|n| [50 * n, 0, if n == 0 { 0 } else { 250 }]).collect()
-    };
+    let colours =
+        |i| -> Vec<u8> { numbers(i).into_iter().flat_map(|n| [50 * n, 0, if n == 0 { 0 } else { 250 }]).collect() };
     let colour = |i| png(&colours(i + 1), WIDTH, HEIGHT, image::ExtendedColorType::Rgb8);
     clip.masks(&zip((0..COUNT).map(|i| (format!("{i}.png"), colour(i)))));
     let found = masks(&clip.inputs.masks, None, &[2]).unwrap();

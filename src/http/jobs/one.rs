@@ -4,14 +4,13 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use uuid::Uuid;
 
 use super::view::JobView;
 use crate::http::App;
 use crate::http::error::{ApiError, Problem};
 use crate::http::extract::{ApiPath, parse_id, unknown};
 use crate::http::files::matches_etag;
-use crate::jobs::{self, Change, Deletion, Job};
+use crate::jobs::{self, Change, Deletion, Job, QueueError};
 
 /// Ask how a job stands.
 ///
@@ -108,14 +107,13 @@ pub(super) async fn delete(State(app): State<App>, ApiPath(id): ApiPath<String>)
     let job = parse_id("job", &id)?;
     // To its end, even if the client goes away: no row means no files. What a crash leaves behind, the next start removes.
     let deletion = tokio::spawn(async move {
-        let deletion = delete_row(&app, job).await?;
+        let deletion = app.store.despite_full_disk(QueueError::is_disk_full, || app.queue.delete(job)).await?;
         if deletion == Deletion::Gone {
             let store = app.store.clone();
             let removed = tokio::task::spawn_blocking(move || {
                 store.delete_job(job)?;
-                if let Err(error) = store.load_ballast() {
-                    tracing::warn!(%error, "no room is kept for deletions");
-                }
+                // At once: the next deletion may not wait for the reaper.
+                store.reload_ballast();
                 std::io::Result::Ok(())
             });
             removed.await.map_err(ApiError::internal)??;
@@ -126,18 +124,6 @@ pub(super) async fn delete(State(app): State<App>, ApiPath(id): ApiPath<String>)
         Deletion::Unknown => Err(unknown("job", id)),
         Deletion::Pending => Ok(StatusCode::ACCEPTED),
         Deletion::Gone => Ok(StatusCode::NO_CONTENT),
-    }
-}
-
-/// On a disk without a byte left the database cannot even write that something goes: the ballast makes room for that.
-async fn delete_row(app: &App, job: Uuid) -> Result<Deletion, ApiError> {
-    match app.queue.delete(job).await.map_err(ApiError::from) {
-        Err(ApiError::DiskFull) => {
-            let store = app.store.clone();
-            tokio::task::spawn_blocking(move || store.drop_ballast()).await.map_err(ApiError::internal)??;
-            Ok(app.queue.delete(job).await?)
-        }
-        other => other,
     }
 }
 

@@ -156,7 +156,7 @@ async fn receive_parts(form: &mut Form, store: &Store, limits: &Limits, hash: bo
         }
         if name == OPTIONS {
             let json = read_small(part, OPTIONS, &mut budget).await?;
-            options = Some(JobOptions::parse(&json)?);
+            options = Some(JobOptions::parse(&json).map_err(ApiError::Options)?);
             continue;
         }
         if name == UPLOADS {
@@ -183,7 +183,8 @@ async fn receive_parts(form: &mut Form, store: &Store, limits: &Limits, hash: bo
 /// The JSON form of a request: all parts but a camera were uploaded before.
 pub(super) async fn receive_json(json: &[u8], store: &Store) -> Result<Received, ApiError> {
     let asked: JobOfUploads = parse_json(json, "")?;
-    let options = asked.options.map(|options| JobOptions::parse(options.to_string().as_bytes())).transpose()?;
+    let options = asked.options.map(|options| JobOptions::parse(options.to_string().as_bytes()));
+    let options = options.transpose().map_err(ApiError::Options)?;
     let upload = store.begin_upload()?;
     let (mut inputs, mut hashes) = (BTreeMap::new(), BTreeMap::new());
     if let Some(camera) = asked.camera {
