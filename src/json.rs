@@ -1,6 +1,7 @@
 //! JSON from outside: one whole object, and a mistake is told with its field and what was expected, in words of JSON.
 
 use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
 
 /// Why a text is not the object that was asked for.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -34,15 +35,15 @@ pub fn object<T: DeserializeOwned>(json: &[u8]) -> Result<T, JsonError> {
     Ok(value)
 }
 
-/// The same of an object that has been read.
+/// The fields of a value that should be an object.
 ///
 /// # Errors
-/// [`JsonError`] for what is no object, or not of this type.
-pub fn of_value<T: DeserializeOwned>(json: serde_json::Value) -> Result<T, JsonError> {
-    if !json.is_object() {
-        return Err(JsonError { field: None, message: "it is no object".into(), expected: Some("an object".into()) });
+/// [`JsonError`] for all else.
+pub fn fields(json: Value) -> Result<Map<String, Value>, JsonError> {
+    match json {
+        Value::Object(fields) => Ok(fields),
+        _ => Err(JsonError { field: None, message: "it is no object".into(), expected: Some("an object".into()) }),
     }
-    serde_path_to_error::deserialize(json).map_err(|error| explained(&error))
 }
 
 fn explained(error: &serde_path_to_error::Error<serde_json::Error>) -> JsonError {

@@ -380,6 +380,7 @@ async function turntable(id, signal, rotation = [1, 0, 0, 0, 1, 0, 0, 0, 1]) {
     const picture = await patiently(() => post(`v1/avatars/${id}/renders`, { pose, pelvis, camera }, signal));
     if (signal.aborted) return;
     pictures[view] = URL.createObjectURL(await picture.blob());
+    signal.addEventListener("abort", () => URL.revokeObjectURL(pictures[view]));
     $("drawn").textContent = drawn + 1 < VIEWS ? `${drawn + 1} of ${VIEWS} sides drawn` : "";
     look();
   }
@@ -397,6 +398,7 @@ async function patiently(ask) {
   }
 }
 
+// What no step meets comes last: -1 as an unsigned number.
 const rank = (view) => [6, 3, 2].findIndex((step) => view % step === 0) >>> 0;
 
 function drag(image, slider, changed) {

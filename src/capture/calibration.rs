@@ -6,7 +6,8 @@ use std::path::Path;
 use serde_json::{Map, Value};
 
 use super::{BadInput, CaptureError, Part, limits, text};
-use crate::camera::{Camera, is_rotation};
+use crate::camera::{self, Camera, is_rotation};
+use crate::json::JsonError;
 
 /// Horizontal field of view along the longer side of a phone's main camera while filming (26–28 mm equivalent, with
 /// the usual crop for stabilisation): 62°.
@@ -19,17 +20,7 @@ pub(super) fn guess(width: u32, height: u32, pixel_aspect: f64) -> Camera {
     // In heights of a pixel.
     let longer = (f64::from(width) * pixel_aspect).max(f64::from(height));
     let focal = 0.5 * longer / (0.5 * GUESSED_FIELD_OF_VIEW).tan();
-    Camera {
-        width,
-        height,
-        fx: focal / pixel_aspect,
-        fy: focal,
-        cx: 0.5 * f64::from(width),
-        cy: 0.5 * f64::from(height),
-        distortion: [0.0; 5],
-        rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        translation: [0.0; 3],
-    }
+    Camera::pinhole(width, height, [focal / pixel_aspect, focal, 0.5 * f64::from(width), 0.5 * f64::from(height)])
 }
 
 /// A camera's file, in all forms that are taken beside a clip.
@@ -52,71 +43,43 @@ fn parse(text: &[u8]) -> Result<Camera, BadInput> {
     let text = text::plain(Part::Camera, text)?;
     let json: Map<String, Value> =
         serde_json::from_slice(text).map_err(|e| bad(format!("the JSON cannot be used: {e}"), EXPECTED))?;
-    let size = |key: &str| -> Result<u32, BadInput> {
-        let value = number(&json, key)?;
-        if value.fract() == 0.0 && value >= 1.0 && value <= f64::from(limits::SIDE_PX) {
-            return Ok(value as u32);
-        }
-        Err(bad(format!("`{key}` is {value}"), format!("a whole number of pixels from 1 to {}", limits::SIDE_PX)))
-    };
-    if let Some(OddName { message, expected, .. }) = odd_name(&json) {
-        return Err(bad(message, expected));
-    }
-    let (width, height) = (size("width")?, size("height")?);
-    let camera = Camera {
-        width,
-        height,
-        fx: focal(&json, "fx", width.max(height))?,
-        fy: focal(&json, "fy", width.max(height))?,
-        cx: centre(&json, "cx", width)?,
-        cy: centre(&json, "cy", height)?,
-        distortion: distortion(&json)?,
-        rotation: rotation(&json)?,
-        translation: vector(&json, "translation")?.unwrap_or([0.0; 3]),
-    };
-    check_middle(&camera)?;
-    if !(0.5..=2.0).contains(&(camera.fx / camera.fy)) {
-        return Err(bad(format!("`fx` is {}, `fy` is {}", camera.fx, camera.fy), "focal lengths within a factor of 2"));
-    }
+    let camera = camera::from_json(&json)
+        .map_err(|JsonError { message, expected, .. }| bad(message, expected.unwrap_or_else(|| EXPECTED.into())))?;
+    check(&camera)?;
     Ok(camera)
 }
 
-/// What is read.
-const NAMES: [&str; 14] =
-    ["width", "height", "fx", "fy", "cx", "cy", "distortion", "k1", "k2", "k3", "p1", "p2", "rotation", "translation"];
-
-/// A name beside those that are read that would be left out without a word, though it says something of the camera.
-pub struct OddName {
-    pub name: String,
-    pub message: String,
-    pub expected: String,
-}
-
-/// A lens under another name, or a name that is nearly one of ours. What else stands beside a camera is its own.
-pub fn odd_name(json: &Map<String, Value>) -> Option<OddName> {
-    let odd = |name: &str, message: String, expected: String| Some(OddName { name: name.into(), message, expected });
-    json.iter().filter(|(key, _)| !NAMES.contains(&key.as_str())).find_map(|(key, value)| {
-        let lower = key.to_lowercase();
-        let model = value.as_str().unwrap_or("").to_lowercase();
-        if ["fisheye", "equidistant", "omni", "kannala"].iter().any(|name| model.contains(name)) {
-            return odd(key, format!("`{key}` is {}", short(value)), OF_THE_LENS.into());
+/// Whether it can be one that films a person, and of the pictures that it says.
+fn check(camera: &Camera) -> Result<(), BadInput> {
+    for (key, side) in [("width", camera.width), ("height", camera.height)] {
+        if !(1..=limits::SIDE_PX).contains(&side) {
+            let expected = format!("a whole number of pixels from 1 to {}", limits::SIDE_PX);
+            return Err(bad(format!("`{key}` is {side}"), expected));
         }
-        if ["k4", "k5", "k6"].contains(&lower.as_str()) {
-            return odd(key, format!("there is a `{key}`"), OF_THE_LENS.into());
+    }
+    let longer = f64::from(camera.width.max(camera.height));
+    let (least, most) = (0.2 * longer, 20.0 * longer);
+    for (key, value) in [("fx", camera.fx), ("fy", camera.fy)] {
+        if !(least..=most).contains(&value) {
+            let expected = format!("pixels, from {least} to {most} for these images");
+            return Err(bad(format!("the focal length `{key}` is {value}"), expected));
         }
-        let is_lens = ["dist_", "distc", "distort", "distors"].iter().any(|start| lower.starts_with(start))
-            || ["d", "dist", "coeffs", "coefficients", "params"].contains(&lower.as_str());
-        let is_nothing = |value: &Value| value.is_null() || value.as_f64() == Some(0.0);
-        let says_none =
-            value.is_string() || is_nothing(value) || value.as_array().is_some_and(|list| list.iter().all(is_nothing));
-        if is_lens && !says_none {
-            let expected = format!("a lens as `distortion`: {OF_THE_LENS}");
-            return odd(key, format!("there is a `{key}`, which is not read"), expected);
+    }
+    for (key, value, side) in [("cx", camera.cx, camera.width), ("cy", camera.cy, camera.height)] {
+        let side = f64::from(side);
+        if !(-0.5 * side..=1.5 * side).contains(&value) {
+            let expected = format!("pixels, near {}", 0.5 * side);
+            return Err(bad(format!("the principal point `{key}` is {value}"), expected));
         }
-        let near = |name: &&&str| lower == **name || name.len() > 7 && strsim::damerau_levenshtein(&lower, name) <= 2;
-        let near = NAMES.iter().find(near)?;
-        odd(key, format!("there is a `{key}`"), format!("`{near}`, if that is meant"))
-    })
+    }
+    if !is_rotation(&camera.rotation) {
+        return Err(bad("`rotation` is no rotation", "3×3 orthonormal rows (row-major) with determinant 1"));
+    }
+    check_middle(camera)?;
+    if !(0.5..=2.0).contains(&(camera.fx / camera.fy)) {
+        return Err(bad(format!("`fx` is {}, `fy` is {}", camera.fx, camera.fy), "focal lengths within a factor of 2"));
+    }
+    Ok(())
 }
 
 /// A principal point that lies in the middle of images of another size is of those, and so is the focal length.
@@ -131,95 +94,6 @@ fn check_middle(camera: &Camera) -> Result<(), BadInput> {
     let expected =
         format!("numbers of the {}×{} images: divide fx, fy, cx and cy by {times}", camera.width, camera.height);
     Err(bad(message, expected))
-}
-
-fn number(json: &Map<String, Value>, key: &str) -> Result<f64, BadInput> {
-    match json.get(key) {
-        None => Err(bad(format!("`{key}` is missing"), EXPECTED)),
-        // Numbers of JSON are finite.
-        Some(value) => value.as_f64().ok_or_else(|| bad(format!("`{key}` is {}", short(value)), "a number")),
-    }
-}
-
-fn short(value: &Value) -> String {
-    value.to_string().chars().take(60).collect()
-}
-
-fn focal(json: &Map<String, Value>, key: &str, longer_side: u32) -> Result<f64, BadInput> {
-    let value = number(json, key)?;
-    let (least, most) = (0.2 * f64::from(longer_side), 20.0 * f64::from(longer_side));
-    if (least..=most).contains(&value) {
-        return Ok(value);
-    }
-    Err(bad(format!("the focal length `{key}` is {value}"), format!("pixels, from {least} to {most} for these images")))
-}
-
-fn centre(json: &Map<String, Value>, key: &str, side: u32) -> Result<f64, BadInput> {
-    let (value, side) = (number(json, key)?, f64::from(side));
-    if (-0.5 * side..=1.5 * side).contains(&value) {
-        return Ok(value);
-    }
-    Err(bad(format!("the principal point `{key}` is {value}"), format!("pixels, near {}", 0.5 * side)))
-}
-
-/// Numbers of a list, nested or not.
-fn numbers(key: &str, value: &Value) -> Result<Vec<f64>, BadInput> {
-    let is_wrong = || bad(format!("`{key}` is {}", short(value)), "a list of numbers");
-    let list = value.as_array().ok_or_else(is_wrong)?;
-    let mut flat = Vec::new();
-    for item in list {
-        match item.as_array() {
-            Some(row) => flat.extend(row.iter().map(Value::as_f64)),
-            None => flat.push(item.as_f64()),
-        }
-    }
-    flat.into_iter().collect::<Option<Vec<f64>>>().ok_or_else(is_wrong)
-}
-
-const OF_THE_LENS: &str = "k1, k2, p1, p2, k3 (Brown's model, no fisheye)";
-
-/// `distortion: [k1, k2, p1, p2, k3]` (shorter is fine), `distortion: {k1: …}`, or `k1` … beside the other fields.
-fn distortion(json: &Map<String, Value>) -> Result<[f64; 5], BadInput> {
-    const NAMES: [&str; 5] = ["k1", "k2", "p1", "p2", "k3"];
-    let mut coefficients = [0.0; 5];
-    let named = match json.get("distortion") {
-        None | Some(Value::Null) => json,
-        Some(Value::Object(named)) => {
-            if let Some(other) = named.keys().find(|key| !NAMES.contains(&key.as_str())) {
-                return Err(bad(format!("`distortion` has a `{other}`"), OF_THE_LENS));
-            }
-            named
-        }
-        Some(list) => {
-            let list = numbers("distortion", list)?;
-            if list.len() > 5 {
-                return Err(bad(format!("`distortion` has {} numbers", list.len()), OF_THE_LENS));
-            }
-            coefficients[..list.len()].copy_from_slice(&list);
-            return Ok(coefficients);
-        }
-    };
-    for (name, coefficient) in NAMES.iter().zip(&mut coefficients) {
-        if named.contains_key(*name) {
-            *coefficient = number(named, name)?;
-        }
-    }
-    Ok(coefficients)
-}
-
-fn vector<const N: usize>(json: &Map<String, Value>, key: &str) -> Result<Option<[f64; N]>, BadInput> {
-    let Some(value) = json.get(key).filter(|value| !value.is_null()) else { return Ok(None) };
-    let list = numbers(key, value)?;
-    let count = list.len();
-    list.try_into().map(Some).map_err(|_| bad(format!("`{key}` has {count} numbers"), format!("{N} numbers")))
-}
-
-fn rotation(json: &Map<String, Value>) -> Result<[f64; 9], BadInput> {
-    let Some(r) = vector::<9>(json, "rotation")? else { return Ok([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]) };
-    if is_rotation(&r) {
-        return Ok(r);
-    }
-    Err(bad("`rotation` is no rotation", "3×3 orthonormal rows (row-major) with determinant 1"))
 }
 
 /// The camera must be of the video's very images.

@@ -29,7 +29,7 @@ mod tests;
 mod text;
 mod video;
 
-pub use calibration::{OddName, odd_name, read as read_camera};
+pub use calibration::read as read_camera;
 pub use clip::{CaptureInputs, CaptureOptions, GoOn, Inspection, inspect};
 pub use confine::Confinement;
 pub use error::{BadInput, CaptureError, Part};

@@ -37,12 +37,12 @@ const PAGE_POLICY: &str = "sandbox; default-src 'none'; style-src 'unsafe-inline
         // Bytes first: that is what generated clients then take every file for.
         (status = 200, description = "The file", content(
             (String = "application/octet-stream"), (String = "model/gltf-binary"), (String = "image/png"),
-            (String = "video/mp4"), (serde_json::Value = "application/json", example = json!({ "mask_iou": 0.95 })),
+            (serde_json::Value = "application/json", example = json!({ "mask_iou": 0.95 })),
             (String = "text/html", example = json!("<!doctype html><title>The fit</title>"))),
             headers(("etag" = String, description = "SHA-256 of the file"))),
         (status = 206, description = "The range", content(
             (String = "application/octet-stream"), (String = "model/gltf-binary"), (String = "image/png"),
-            (String = "video/mp4"), (String = "application/json"), (String = "text/html")),
+            (String = "application/json"), (String = "text/html")),
             headers(("content-range" = String))),
         (status = 304, description = "The client has the file"),
         (status = 404, description = "No such avatar or file", body = Problem,

@@ -19,15 +19,17 @@ const SEEN: f32 = 0.2;
 const LIMBS_NEEDED: usize = 8;
 /// Pixels along a border before the person counts as cut.
 const CUT_PX: usize = 3;
-/// Of the person's area.
+/// A second piece of foreground, of the person's area.
 const BLOB: f64 = 0.01;
-/// Of the area.
+/// A mask's change from frame to frame, of its area.
 const JUMP: f64 = 0.035;
 /// With fewer frames a turn, arms that pass the outline change the area as much from frame to frame.
 const FRAMES_FOR_JUMPS: usize = 48;
-/// Of the clip's median.
+/// A frame's sharpness, of the clip's median.
 const BLURRED: f64 = 0.6;
+/// The clip's median sharpness.
 const BLURRED_CLIP: f64 = 0.16;
+/// Frames that are kept.
 const FEW_FRAMES: usize = 20;
 /// The person's height, where texture and outline begin to suffer.
 const LOW_PX: f64 = 160.0;

@@ -22,8 +22,9 @@ const SHANKS: [usize; 2] = [LEFT_KNEE, RIGHT_KNEE];
 
 /// Heights that are looked at, between hip (0) and ankle (1).
 const ROWS: usize = 48;
-/// Where the legs of a naked body part, and how near the middle a surface must come to close it, of a leg's distance from it.
+/// Where the legs of a naked body part, from hip (0) to ankle (1).
 const CROTCH: f32 = 0.1;
+/// How near the middle a surface must come to close the gap between the legs, of the distance from the middle to a leg's axis.
 const MIDDLE: f32 = 0.15;
 /// Cloth is no trousers where it closes a gap that is this wide between the naked legs, metres. Skirts to the knees and longer
 /// close 18 cm and more; overalls with a low crotch, wide trousers and heavy thighs less than 7 (docs/lab/skirt.md).
@@ -31,25 +32,26 @@ const GAP_M: f32 = 0.1;
 /// As much of that gap as would be there if the legs hung straight down from the hips, metres: somebody who stands astride has a wide gap
 /// close below the crotch, which any trousers close. Skirts close 11 cm of it, trousers 3 at most.
 const HUNG_GAP_M: f32 = 0.04;
-/// Heights over which filling begins below the hip, and filling and carrying end at the hem, of a leg.
+/// Height over which filling begins below the hip, and filling and carrying end at the hem, of a leg's length.
 const FADE: f32 = 0.04;
-/// The same towards a leg's axis, of its distance from the middle, and for carrying above the hip, of a leg.
+/// Width over which filling ends towards a leg's axis, of the distance from the middle to that axis.
 const FADE_ACROSS: f32 = 0.15;
+/// Height over which carrying begins above the hip, of a leg's length.
 const FADE_ABOVE: f32 = 0.15;
 /// Rounds of smoothing of what filling moves: without it, of a made coat's inner side 52 vertices stick out, with it less than 8.
 const ROUNDS: usize = 4;
 
-/// How near the middle both legs' surface is where it is a wall, of a leg's distance from it, and how far behind the cloth's front
-/// and before its back, of the way from one to the other.
+/// How near the middle both legs' surface is where it is a wall, of the distance from the middle to a leg's axis.
 const WALL: f32 = 0.25;
+/// How far a wall lies behind the cloth's front and before its back, of the way from one to the other.
 const BEHIND: f32 = 0.1;
 
 /// How far from the middle between front and back a surface stays there, of the way from one to the other.
 const MIDST: f32 = 0.1;
 
-/// How far from the middle legs begin below the hem, of a leg's distance from it, and by how much of a leg what is between them is
-/// lifted.
+/// How far from the middle legs begin below the hem, of the distance from the middle to a leg's axis.
 const LEG: f32 = 0.6;
+/// By how much what is between them is lifted, of a leg's length.
 const TUCK: f32 = 0.05;
 
 /// Such cloth.

@@ -27,16 +27,17 @@ pub const MOST_ROUNDS: usize = 2 * ROUNDS;
 const POINTS: usize = 160;
 /// Information of one point: neighbours say nearly the same.
 const WEIGHT: f64 = 0.05;
-/// Clothes are the same in all frames: so many frames weigh as much for the shape as one. Shoes and hair make everybody
-/// taller, but not everybody wider.
+/// Clothes are the same in all frames: so many frames weigh as much for the shape as one.
 const FRAMES_ALIKE: f64 = 50.0;
+/// The same up and down: shoes and hair make everybody taller, but not everybody wider.
 const FRAMES_ALIKE_IN_HEIGHT: f64 = 10.0;
-/// σ outside and inside the mask in multiples of the person's height: the naked body may lie inside the mask by
-/// the thickness of clothes, hardly outside.
+/// σ of the naked body's outline outside the mask, where it hardly is, of the person's height.
 const OUTSIDE: f64 = 0.006;
+/// The same inside, by the thickness of clothes.
 const INSIDE: f64 = 0.012;
-/// Outlines must run alike, and not farther from the mask's edge than this part of the person's height.
+/// The least cosine between the normals of two outlines that are the same.
 const ALIKE: f64 = 0.6;
+/// How far from the mask's edge an outline is still the same, of the person's height.
 const REACH: f64 = 0.06;
 /// Ankles and toes, head, wrists and hands: shoes and hair are always larger than what they cover.
 const DRESSED_JOINTS: [usize; 9] =

@@ -242,12 +242,11 @@ async fn accept(
         let store = app.store.clone();
         tokio::task::spawn_blocking(move || store.commit_upload(upload, id)).await.map_err(ApiError::internal)??;
         let queued = app.queue.insert(NewJob { id, key, options, inputs, clip, remember }).await;
-        if !matches!(queued, Ok(Insertion::Queued(_))) {
-            let store = app.store.clone();
-            tokio::task::spawn_blocking(move || store.delete_job(id)).await.map_err(ApiError::internal)??;
-        }
         if matches!(queued, Ok(Insertion::Queued(_))) {
             used.remove(&app.store).await;
+        } else {
+            let store = app.store.clone();
+            tokio::task::spawn_blocking(move || store.delete_job(id)).await.map_err(ApiError::internal)??;
         }
         Ok(queued?)
     });

@@ -3,13 +3,12 @@
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::camera::{Camera, is_rotation};
-use crate::capture::{OddName, odd_name};
+use crate::camera::{self, Camera, is_rotation};
 use crate::http::avatars::check_frame;
 use crate::http::error::ApiError;
 use crate::jobs::Avatar;
 use crate::jobs::render::{Background, ImageRequest, Light, Place, PoseSource, hex_colour};
-use crate::json::{self, JsonError};
+use crate::json;
 
 const POSE_VALUES: usize = 72;
 /// No importer keeps more of a body.
@@ -66,60 +65,34 @@ pub(in crate::http) enum Format {
 
 /// A pinhole camera in OpenCV's axes: x right, y down, z forward; pixel centres at half integers.
 /// As in a clip's camera.json, other fields may stand beside these.
-#[derive(Deserialize, utoipa::ToSchema)]
+#[derive(utoipa::ToSchema)]
+#[expect(dead_code, reason = "describes the object for the API's document; `camera::from_json` reads it")]
 pub(in crate::http) struct CameraBody {
     /// Pixels of the picture.
     #[schema(minimum = 1, maximum = 4096)]
-    pub width: u64,
+    width: u64,
     #[schema(minimum = 1, maximum = 4096)]
-    pub height: u64,
-    pub fx: f64,
-    pub fy: f64,
-    pub cx: f64,
-    pub cy: f64,
+    height: u64,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
     /// 3×3, as three rows or as nine numbers row by row: `x_cam = R·x_world + t`.
-    #[schema(value_type = Option<Vec<f64>>)]
-    pub rotation: Option<Rotation>,
-    pub translation: Option<[f64; 3]>,
+    rotation: Option<Vec<f64>>,
+    translation: Option<[f64; 3]>,
     /// OpenCV's `[k1, k2, p1, p2, k3]`, shorter if the rest is zero, or the same by name.
-    #[schema(value_type = Option<Vec<f64>>)]
-    pub distortion: Option<Distortion>,
+    distortion: Option<Vec<f64>>,
     /// The coefficients may also stand beside the other fields; zero where absent.
-    #[serde(default)]
-    pub k1: f64,
-    #[serde(default)]
-    pub k2: f64,
-    #[serde(default)]
-    pub p1: f64,
-    #[serde(default)]
-    pub p2: f64,
-    #[serde(default)]
-    pub k3: f64,
-}
-
-#[derive(Clone, Deserialize)]
-#[serde(untagged, expecting = "expected at most five numbers, or k1, k2, p1, p2 and k3 by name")]
-pub(in crate::http) enum Distortion {
-    List(Vec<f64>),
-    Named(Coefficients),
-}
-
-/// Of the lens, zero where absent.
-#[derive(Clone, Copy, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub(in crate::http) struct Coefficients {
-    pub k1: f64,
-    pub k2: f64,
-    pub p1: f64,
-    pub p2: f64,
-    pub k3: f64,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(untagged, expecting = "expected nine numbers, or three rows of three")]
-pub(in crate::http) enum Rotation {
-    Rows([[f64; 3]; 3]),
-    Flat([f64; 9]),
+    #[schema(default = 0.0, required = false)]
+    k1: f64,
+    #[schema(default = 0.0, required = false)]
+    k2: f64,
+    #[schema(default = 0.0, required = false)]
+    p1: f64,
+    #[schema(default = 0.0, required = false)]
+    p2: f64,
+    #[schema(default = 0.0, required = false)]
+    k3: f64,
 }
 
 fn wrong(part: &str, detail: impl Into<String>, expected: impl Into<String>) -> ApiError {
@@ -190,68 +163,24 @@ fn background(text: &str) -> Result<Background, ApiError> {
 }
 
 fn camera(json: Value) -> Result<Camera, ApiError> {
-    let wrong = |error| ApiError::json(error, "camera");
-    if let Some(OddName { name, message, expected }) = json.as_object().and_then(odd_name) {
-        return Err(wrong(JsonError { field: Some(name), message, expected: Some(expected) }));
-    }
-    json::of_value::<CameraBody>(json).map_err(wrong)?.check()
-}
-
-impl CameraBody {
-    fn check(self) -> Result<Camera, ApiError> {
-        for (name, side) in [("camera.width", self.width), ("camera.height", self.height)] {
-            if !(1..=u64::from(MAX_SIDE_PX)).contains(&side) {
-                return Err(wrong(name, format!("{name} is {side}"), format!("1 to {MAX_SIDE_PX}")));
-            }
+    let camera = json::fields(json).and_then(|json| camera::from_json(&json));
+    let camera = camera.map_err(|error| ApiError::json(error, "camera"))?;
+    for (name, side) in [("camera.width", camera.width), ("camera.height", camera.height)] {
+        if !(1..=MAX_SIDE_PX).contains(&side) {
+            return Err(wrong(name, format!("{name} is {side}"), format!("1 to {MAX_SIDE_PX}")));
         }
-        for (name, focal) in [("camera.fx", self.fx), ("camera.fy", self.fy)] {
-            if !(focal.is_finite() && focal > 0.0 && focal <= MAX_COORDINATE) {
-                return Err(wrong(name, format!("{name} is {focal}"), "a focal length above 0, in pixels"));
-            }
-        }
-        check_numbers("camera.cx", &[self.cx], MAX_COORDINATE)?;
-        check_numbers("camera.cy", &[self.cy], MAX_COORDINATE)?;
-        let translation = self.translation.unwrap_or_default();
-        check_numbers("camera.translation", &translation, MAX_COORDINATE)?;
-        let rotation = match self.rotation {
-            None => [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-            Some(Rotation::Flat(flat)) => flat,
-            Some(Rotation::Rows(rows)) => std::array::from_fn(|i| rows[i / 3][i % 3]),
-        };
-        if !is_rotation(&rotation) {
-            return Err(wrong("camera.rotation", "the rows are not those of a rotation", "an orthonormal 3×3 matrix"));
-        }
-        let distortion = self.lens()?;
-        Ok(Camera {
-            width: self.width as u32,
-            height: self.height as u32,
-            fx: self.fx,
-            fy: self.fy,
-            cx: self.cx,
-            cy: self.cy,
-            distortion,
-            rotation,
-            translation,
-        })
     }
-}
-
-impl CameraBody {
-    fn lens(&self) -> Result<[f64; 5], ApiError> {
-        let lens = match &self.distortion {
-            None => [self.k1, self.k2, self.p1, self.p2, self.k3],
-            Some(Distortion::Named(named)) => [named.k1, named.k2, named.p1, named.p2, named.k3],
-            Some(Distortion::List(list)) => {
-                let mut lens = [0.0; 5];
-                let Some(start) = lens.get_mut(..list.len()) else {
-                    let detail = format!("the distortion has {} numbers", list.len());
-                    return Err(wrong("camera.distortion", detail, "at most 5 numbers: k1, k2, p1, p2, k3"));
-                };
-                start.copy_from_slice(list);
-                lens
-            }
-        };
-        check_numbers("camera.distortion", &lens, 100.0)?;
-        Ok(lens)
+    for (name, focal) in [("camera.fx", camera.fx), ("camera.fy", camera.fy)] {
+        if !(focal > 0.0 && focal <= MAX_COORDINATE) {
+            return Err(wrong(name, format!("{name} is {focal}"), "a focal length above 0, in pixels"));
+        }
     }
+    check_numbers("camera.cx", &[camera.cx], MAX_COORDINATE)?;
+    check_numbers("camera.cy", &[camera.cy], MAX_COORDINATE)?;
+    check_numbers("camera.translation", &camera.translation, MAX_COORDINATE)?;
+    check_numbers("camera.distortion", &camera.distortion, 100.0)?;
+    if !is_rotation(&camera.rotation) {
+        return Err(wrong("camera.rotation", "the rows are not those of a rotation", "an orthonormal 3×3 matrix"));
+    }
+    Ok(camera)
 }

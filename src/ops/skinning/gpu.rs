@@ -7,14 +7,11 @@ use crate::gpu::{Buffer, Gpu, Kernel, Recorder, linear_groups};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-struct Params {
-    len: u32,
-    /// What the shader calls `n_betas`, `joints_len`, `n_features` or `frame`, where it has a second number.
-    other: u32,
-}
+struct Params([u32; 2]);
 
-fn params(len: usize, other: usize) -> Params {
-    Params { len: len as u32, other: other as u32 }
+/// The numbers of a shader's own `Params`, in its order.
+fn params(first: usize, second: usize) -> Params {
+    Params([first as u32, second as u32])
 }
 
 /// Entries of the local rotations that pose blend shapes follow: 23 joints, 3×3 each.

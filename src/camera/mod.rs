@@ -2,6 +2,13 @@
 //!
 //! The operators have this arithmetic once more, in the precision of their parameters and with its gradients.
 
+mod json;
+
+pub use json::from_json;
+
+/// Rows of the world's own axes.
+const IDENTITY: [f64; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+
 /// A pinhole camera in OpenCV's axes; pixel centres at half integers. Frames of a [`Capture`](crate::capture::Capture) are
 /// undistorted.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -23,14 +30,14 @@ pub struct Camera {
 }
 
 fn identity() -> [f64; 9] {
-    [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    IDENTITY
 }
 
 impl Camera {
     /// A camera at the world's origin without distortion.
     pub const fn pinhole(width: u32, height: u32, [fx, fy, cx, cy]: [f64; 4]) -> Self {
-        let rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-        Camera { width, height, fx, fy, cx, cy, distortion: [0.0; 5], rotation, translation: [0.0; 3] }
+        let (rotation, translation) = (IDENTITY, [0.0; 3]);
+        Camera { width, height, fx, fy, cx, cy, distortion: [0.0; 5], rotation, translation }
     }
 
     /// Pixels of the image.
