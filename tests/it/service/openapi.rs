@@ -211,3 +211,69 @@ async fn the_server_tells_its_description() {
         assert!(text.contains(&format!("\n  {path}:\n")), "{path}");
     }
 }
+
+/// What lies at a bound of a schema, and one beyond it, by field.
+fn at_the_bounds(schema: &Value) -> Vec<(String, Value, Value)> {
+    let mut found = Vec::new();
+    for (name, field) in schema["properties"].as_object().unwrap() {
+        for (bound, beyond) in [("minimum", -1), ("maximum", 1)] {
+            let bound = &field[bound];
+            match bound.as_i64() {
+                // serde's own: a whole number that is not negative.
+                Some(0) if field["format"] != "double" => {}
+                Some(whole) => found.push((name.clone(), json!(whole), json!(whole + beyond))),
+                None if bound.is_number() => {
+                    found.push((name.clone(), bound.clone(), json!(bound.as_f64().unwrap() + 0.01 * beyond as f64)));
+                }
+                None => {}
+            }
+        }
+    }
+    found
+}
+
+#[tokio::test]
+async fn bounds_are_those_that_are_checked() {
+    let api = description();
+    let schemas = &api["components"]["schemas"];
+    let options = at_the_bounds(&schemas["JobOptions"]);
+    assert!(options.len() >= 10, "{options:?}");
+    for (name, bound, beyond) in options {
+        let parsed = |value: &Value| JobOptions::parse(json!({ &name: value }).to_string().as_bytes());
+        assert!(parsed(&bound).is_ok(), "{name}: {bound}");
+        let error = parsed(&beyond).unwrap_err();
+        assert_eq!(error.field.as_deref(), Some(name.as_str()), "{beyond}");
+    }
+
+    let bench = Bench::new().await;
+    let avatar = format!("/v1/avatars/{}", bench.publish(&[("avatar.glb", b"glb")]).await);
+    for (name, bound, beyond) in at_the_bounds(&schemas["CameraBody"]) {
+        let body = |value: &Value| {
+            let mut camera = json!({ "width": 10, "height": 10, "fx": 9, "fy": 9, "cx": 5, "cy": 5 });
+            camera[&name] = value.clone();
+            // Another mistake, which is looked for after the camera.
+            json!({ "frame": 0, "camera": camera, "background": "none" })
+        };
+        for (value, part) in [(bound, "background".into()), (beyond, format!("camera.{name}"))] {
+            let problem = bench.post_json(&format!("{avatar}/renders"), &body(&value)).await.problem(422);
+            assert_eq!(problem["part"], part, "{value}");
+        }
+    }
+    for (name, bound, beyond) in at_the_bounds(&schemas["LinksBody"]) {
+        for (value, fits) in [(bound, true), (beyond, false)] {
+            let answer =
+                bench.post_json(&format!("{avatar}/links"), &json!({ "files": ["avatar.glb"], &name: value })).await;
+            assert_eq!(answer.status.is_success(), fits, "{name} {value}: {}", answer.status);
+        }
+    }
+    let limit =
+        &api["paths"]["/v1/jobs"]["get"]["parameters"].as_array().unwrap().iter().find(|p| p["name"] == "limit");
+    let limit = &limit.unwrap()["schema"];
+    for (bound, beyond) in [("minimum", -1), ("maximum", 1)] {
+        let bound = limit[bound].as_i64().unwrap();
+        for (value, status) in [(bound, 200), (bound + beyond, 400)] {
+            let answer = bench.get(&format!("/v1/jobs?limit={value}")).await;
+            assert_eq!(answer.status, status, "limit {value}");
+        }
+    }
+}
