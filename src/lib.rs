@@ -33,5 +33,6 @@ pub mod storage;
 pub mod study;
 pub mod synth;
 pub mod telemetry;
+pub mod video_writer;
 pub mod webhooks;
 pub mod worker;

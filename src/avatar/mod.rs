@@ -16,7 +16,6 @@ pub(crate) mod testing;
 mod texture;
 mod trace;
 mod trim;
-mod video;
 
 /// What [`AvatarModel::posed`] gives.
 pub use crate::ops::skinning::cpu::Posed;
@@ -29,4 +28,3 @@ pub use pose::{Pose, vertex_normals};
 pub use render::{Background, Light, Place, RenderError, RenderSpec, Renderer};
 pub use texture::SurfaceTexture;
 pub use trace::{MAX_SIDE_PX, Picture, Shading, SurfacePoint, Tracer, view_space};
-pub use video::{Quality, VideoError, VideoWriter};

@@ -4,15 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use effigy::avatar::{
-    AvatarModel, Background, Light, Place, Pose, Quality, RenderSpec, Renderer, VideoError, VideoWriter,
-};
+use effigy::avatar::{AvatarModel, Background, Light, Place, Pose, RenderSpec, Renderer};
 use effigy::body::N_POSE;
 use effigy::camera::Camera;
 use effigy::capture::read_camera;
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::jobs::render::hex_colour;
 use effigy::npz::Npz;
+use effigy::video_writer::{Quality, VideoError, VideoWriter};
 use glam::{Quat, Vec3};
 use image::{DynamicImage, RgbaImage};
 use serde::Deserialize;

@@ -9,10 +9,10 @@ use anyhow::{Context as _, Result, ensure};
 use image::{GrayImage, ImageFormat, RgbImage};
 use serde::{Deserialize, Serialize};
 
-use crate::avatar::{Quality, VideoWriter};
 use crate::camera::Camera;
 use crate::eval::Subject;
 use crate::mask::is_foreground;
+use crate::video_writer::{Quality, VideoWriter};
 
 /// Our JSON of keypoints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -30,13 +30,14 @@ use self::motion::{novel_poses, turn};
 use self::paint::Paint;
 use self::skirt::{Skirt, sew};
 use self::write::FolderWriter;
-use crate::avatar::{Picture, Pose, Shading, Tracer, VideoError, vertex_normals};
+use crate::avatar::{Picture, Pose, Shading, Tracer, vertex_normals};
 use crate::body::{Body, BodyError};
 use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
 use crate::novel::NovelEntry;
 use crate::npz::NpzError;
 use crate::ops::skinning::cpu::{Posed, forward};
+use crate::video_writer::VideoError;
 
 /// A clip to make.
 #[derive(Clone, Debug, serde::Serialize)]

@@ -8,13 +8,14 @@ use image::{GrayImage, ImageFormat, Luma, RgbImage};
 use serde_json::json;
 
 use super::{SynthError, SynthOptions};
+use crate::avatar::Pose;
 use crate::avatar::ply::{self, Mesh};
-use crate::avatar::{Pose, Quality, VideoWriter};
 use crate::body::{Body, JOINT_NAMES};
 use crate::camera::Camera;
 use crate::mask;
 use crate::novel::{NovelEntry, NovelFile};
 use crate::npz::NpzWriter;
+use crate::video_writer::{Quality, VideoWriter};
 
 /// Writes a folder piece by piece.
 pub(super) struct FolderWriter {

@@ -138,6 +138,10 @@ fn a_clip_becomes_an_avatar_that_looks_like_the_person() {
     ] {
         assert!(page.contains(shown), "report.html does not show `{shown}`");
     }
+    // What a report lacks is a dash, or unknown: none of what this page shows of it.
+    for lacking in ["—", "unknown"] {
+        assert!(!page.contains(lacking), "report.html shows `{lacking}`");
+    }
     let pictures = page.matches("<img").count();
     assert!(
         (11..=14).contains(&pictures),

@@ -42,6 +42,7 @@ const ROOT_LEAVES: &[&str] = &[
     "mask",
     "math",
     "novel",
+    "video_writer",
 ];
 
 /// The program itself, which may use everything.

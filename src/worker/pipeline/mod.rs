@@ -48,6 +48,10 @@ pub enum Stage {
 }
 
 impl Stage {
+    /// In their order.
+    pub const ALL: [Stage; 6] =
+        [Stage::Decode, Stage::Pose, Stage::Geometry, Stage::Texture, Stage::Bake, Stage::Export];
+
     pub fn name(self) -> &'static str {
         match self {
             Stage::Decode => "decode",

@@ -258,8 +258,7 @@ fn rounded(value: f64) -> String {
 fn times(report: &Value) -> Vec<Vec<String>> {
     let stages = report["secs"].as_object().into_iter().flatten();
     let mut rows: Vec<(&String, f64)> = stages.map(|(name, secs)| (name, secs.as_f64().unwrap_or(0.0))).collect();
-    let order = ["decode", "pose", "geometry", "texture", "bake", "export"];
-    rows.sort_by_key(|(name, _)| order.iter().position(|stage| stage == name));
+    rows.sort_by_key(|(name, _)| Stage::ALL.iter().position(|stage| stage.name() == *name));
     rows.into_iter().map(|(name, secs)| vec![name.clone(), format!("{secs:.1}")]).collect()
 }
 
