@@ -102,7 +102,9 @@ pub async fn restore(args: RestoreArgs) -> Result<()> {
     let from = open_store(&args.folder)?;
     let in_force = args.settings.resolve()?;
     let to = open_store(&in_force.config.data_dir())?;
-    let Some(_lock) = to.lock_server()? else { bail!("a server uses the data folder {}", to.root().display()) };
+    let Some(_lock) = to.lock_server().context("serve.lock in the data folder")? else {
+        bail!("a server uses the data folder {}", to.root().display())
+    };
     // Of a database that was moved away alone, SQLite would replay the journal into the restored one.
     for file in to.database_files() {
         ensure!(!file.exists(), "{} exists: move {} away first", file.display(), Store::OF_THE_QUEUE);

@@ -10,8 +10,8 @@ use effigy::config::{Bytes, Config, Value};
 use effigy::data_dir::body_path_in;
 use effigy::gpu::{DeviceSelect, Gpu};
 use effigy::http::Openness;
-use effigy::jobs::Env;
 use effigy::jobs::sqlite::backup::examine;
+use effigy::jobs::{Env, QueueError};
 use effigy::storage::Store;
 use serde::Serialize;
 
@@ -74,6 +74,7 @@ pub fn run(args: Args) -> Result<()> {
         decoder(),
         disk(&data, in_force.config.disk_reserve_bytes.0),
         body(&data),
+        telling(&in_force.config),
     ];
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     checks.extend(runtime.block_on(database(&data, &in_force.config)));
@@ -163,6 +164,13 @@ fn disk(data: &Path, reserve: u64) -> Check {
         Ok(free) => {
             let found = format!("{:.1} GiB free in {}", free as f64 / (1u64 << 30) as f64, data.display());
             let little = reserve.saturating_add(LITTLE_SPACE);
+            if free < reserve {
+                let mend = format!(
+                    "make room: {} are kept free (disk_reserve_bytes), and with less no upload is taken and no fit begins",
+                    Bytes(reserve).text()
+                );
+                return Check::failed("disk", found, mend);
+            }
             if free < little {
                 let mend = format!(
                     "make room, or set retain_days and start the service anew; {} are kept free (disk_reserve_bytes), and with \
@@ -172,8 +180,28 @@ fn disk(data: &Path, reserve: u64) -> Check {
                 );
                 return Check::warning("disk", found, mend);
             }
+            if store.is_open_to_all() {
+                let mend = format!(
+                    "chmod o-rwx {}: whoever reads the database can sign links to every avatar",
+                    data.display()
+                );
+                return Check::warning("disk", format!("{found}, which all users of this machine can read"), mend);
+            }
             Check::ok("disk", found)
         }
+    }
+}
+
+/// Whether a server could log and send spans as it is told to.
+fn telling(config: &Config) -> Check {
+    if let Err(error) = service::log_filter(config) {
+        return Check::failed("log", format!("{error:#}"), "write it as `warn,effigy=info` (setting log)");
+    }
+    let spans = config.otlp_endpoint.as_deref().map(effigy::telemetry::traces_url);
+    match spans.transpose() {
+        Err(error) => Check::failed("log", format!("{error:#}"), "write it as `http://127.0.0.1:4318`"),
+        Ok(None) => Check::ok("log", config.log.clone()),
+        Ok(Some(url)) => Check::ok("log", format!("{}, spans to {url}", config.log)),
     }
 }
 
@@ -191,6 +219,8 @@ fn body(data: &Path) -> Check {
     }
 }
 
+const OWN: &str = "give it and its folder to the user who runs the service (chown)";
+
 /// The database, and whether a server would start on it.
 async fn database(data: &Path, config: &Config) -> Vec<Check> {
     let path = data.join("effigy.db");
@@ -205,7 +235,10 @@ async fn database(data: &Path, config: &Config) -> Vec<Check> {
         return vec![found, access(config, KeysFound { living: false, any: false })];
     }
     match examine(&path).await {
-        Err(error) => return vec![Check::failed("database", error.to_string(), restore)],
+        Err(error) => {
+            let mend = if error.is_refused() { OWN } else { restore };
+            return vec![Check::failed("database", error.to_string(), mend)];
+        }
         Ok(health) if health.integrity != "ok" => return vec![Check::failed("database", health.integrity, restore)],
         Ok(health) if health.version > health.known => {
             let found = format!("its schema {} is newer than this program's {}", health.version, health.known);
@@ -220,7 +253,10 @@ async fn database(data: &Path, config: &Config) -> Vec<Check> {
     }
     let Ok(store) = Store::open(data) else { return Vec::new() };
     match open_queue(&store, &Env::system(), policy(config)).await {
-        Err(error) => vec![Check::failed("database", format!("{error:#}"), restore)],
+        Err(error) => {
+            let is_refused = error.chain().filter_map(|e| e.downcast_ref::<QueueError>()).any(QueueError::is_refused);
+            vec![Check::failed("database", format!("{error:#}"), if is_refused { OWN } else { restore })]
+        }
         Ok(queue) => {
             let whole = Check::ok("database", format!("{}, whole", path.display()));
             match KeysFound::of(queue.as_ref()).await {

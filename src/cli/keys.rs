@@ -38,6 +38,7 @@ enum Command {
 #[derive(clap::Args)]
 struct Create {
     /// For people, and for `revoke`.
+    #[arg(value_parser = name)]
     name: String,
     /// What it allows: read, write, metrics, admin (all of it, on everybody's jobs).
     #[arg(long, value_delimiter = ',', default_value = "read,write", value_parser = scope)]
@@ -55,7 +56,7 @@ struct Create {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     per_minute: Option<u32>,
     /// The key ends after so many days.
-    #[arg(long, value_name = "DAYS")]
+    #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..))]
     expires_in_days: Option<u32>,
     #[command(flatten)]
     settings: WorkerSettings,
@@ -65,8 +66,14 @@ fn scope(text: &str) -> Result<Scope, String> {
     Scope::from_name(text).ok_or_else(|| format!("one of {}", Scope::ALL.map(Scope::name).join(", ")))
 }
 
+fn name(text: &str) -> Result<String, String> {
+    let fits = (1..=64).contains(&text.chars().count()) && !text.trim().is_empty() && !text.contains(char::is_control);
+    fits.then(|| text.into()).ok_or_else(|| "a name of 1 to 64 characters on one line".into())
+}
+
+/// No more than SQLite's whole numbers hold.
 fn bytes(text: &str) -> Result<Bytes, String> {
-    Bytes::parse(text).ok_or_else(Bytes::kind)
+    Bytes::parse(text).filter(|bytes| i64::try_from(bytes.0).is_ok()).ok_or_else(Bytes::kind)
 }
 
 #[tokio::main(flavor = "current_thread")]

@@ -32,13 +32,13 @@ pub struct Args {
     #[arg(long, conflicts_with = "turntable")]
     frame: Option<u32>,
     /// Pictures of one whole turn of the first captured pose, and `turntable.mp4`.
-    #[arg(long)]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=3600))]
     turntable: Option<u32>,
     /// Camera as JSON; by default the capture's.
     #[arg(long)]
     camera: Option<PathBuf>,
     /// Resize the camera so that its longer side has this many pixels.
-    #[arg(long)]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(16..=8192))]
     size: Option<u32>,
     /// `transparent` or `#rrggbb`.
     #[arg(long, default_value = "transparent", value_parser = background)]

@@ -37,7 +37,7 @@ pub fn run(args: Args) -> Result<()> {
 async fn serve(in_force: InForce) -> Result<()> {
     let config = &in_force.config;
     let store = open_with_reserve(config)?;
-    let Some(_lock) = store.lock_server()? else {
+    let Some(_lock) = store.lock_server().context("serve.lock in the data folder")? else {
         bail!("another server uses the data folder {}", store.root().display());
     };
     let env = Env::system();
@@ -62,7 +62,7 @@ async fn serve(in_force: InForce) -> Result<()> {
     let mut fresh = [0; 32];
     getrandom::fill(&mut fresh).context("the system's randomness")?;
     let secret = queue.secret("links", fresh).await?;
-    let access = Access::new(openness, queue.clone(), config.cors_origins.clone(), secret);
+    let access = Access::new(openness, queue.clone(), config.cors_origins.0.clone(), secret);
     let asked = asked_to_end();
     let listener = tokio::net::TcpListener::bind(config.listen).await;
     let listener = listener.with_context(|| format!("listening on {}", config.listen))?;
@@ -75,7 +75,7 @@ async fn serve(in_force: InForce) -> Result<()> {
         upload_bytes: config.max_upload_bytes.0,
         open_uploads: config.max_open_uploads as usize,
         open_upload_bytes: config.max_open_upload_bytes.0,
-        upload_ttl: Duration::from_secs(config.upload_ttl_secs.into()),
+        upload_ttl: config.upload_ttl_secs.duration(),
         ..Limits::default()
     };
     let app = App::new(queue.clone(), store, renderer, inspector, env.clone(), limits)
@@ -160,6 +160,6 @@ fn worker_command(store: &Store, in_force: &InForce) -> Result<SupervisorSetting
     arguments.extend(in_force.worker_flags(store.root().to_str().context("the data folder's name is no UTF-8")?));
     let settings = SupervisorSettings::new(program, arguments, store.renders());
     // A fit that hangs ends by itself after this time; what has only been asked for may wait as long again as a render.
-    let silence = Duration::from_secs(in_force.config.stall_secs.into()) + settings.timeout;
+    let silence = in_force.config.stall_secs.duration() + settings.timeout;
     Ok(SupervisorSettings { silence, ..settings })
 }

@@ -52,10 +52,15 @@ pub fn openness(config: &Config, keys: KeysFound) -> Option<Openness> {
     }
 }
 
+/// What is logged.
+pub fn log_filter(config: &Config) -> Result<EnvFilter> {
+    EnvFilter::try_new(&config.log).with_context(|| format!("the setting log, {:?}", config.log))
+}
+
 /// Logs to standard error, and sends spans where a collector is set: until what is returned is dropped.
 pub fn start_log(in_force: &InForce, role: &'static str) -> Result<Option<Exporter>> {
     let config = &in_force.config;
-    let filter = EnvFilter::try_new(&config.log).with_context(|| format!("the setting log, {:?}", config.log))?;
+    let filter = log_filter(config)?;
     let (spans, exporter) = match &config.otlp_endpoint {
         None => (None, None),
         Some(endpoint) => {

@@ -1,7 +1,6 @@
 //! `effigy worker`: claims and runs jobs of a data folder.
 
 use std::thread;
-use std::time::Duration;
 
 use anyhow::{Result, bail};
 use effigy::config::Config;
@@ -61,7 +60,7 @@ async fn work(config: &Config, renders_on_stdio: bool) -> Result<()> {
         shutdown.send_replace(true);
     });
     let owner = Owner::new(&store.workers(), env.new_id())?;
-    let stall = Duration::from_secs(config.stall_secs.into());
+    let stall = config.stall_secs.duration();
     let settings = worker::WorkerSettings { stall, ..worker::WorkerSettings::default() };
     let overdue = overdue(stopped.clone());
     tokio::select! {

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 
 pub use resolve::{ConfigError, Effective, Origin, Sources, find_file};
 pub use table::{show, table};
-pub use value::{Auth, Bytes, LogFormat, Value};
+pub use value::{Auth, Bytes, LogFormat, Origins, Seconds, Value};
 
 /// A setting as it is declared.
 #[derive(Clone, Copy, Debug)]
@@ -90,13 +90,13 @@ settings! {
     /// The bytes of all open resumable uploads together.
     serve max_open_upload_bytes: Bytes = "32GiB";
     /// A resumable upload is removed when nothing has come for so many seconds.
-    serve upload_ttl_secs: u32 = "86400";
+    serve upload_ttl_secs: Seconds = "86400";
     /// Remove a job's files so many days after its end, also where it ended before the server started with this; without it
     /// they stay.
     both retain_days: Option<u32> = "";
     /// A fit that shows no step for so many seconds hangs: its attempt ends, and the worker's process is started anew;
     /// so is one that answers no render for a minute longer.
-    both stall_secs: u32 = "600";
+    both stall_secs: Seconds = "600";
     /// So many jobs may wait; more are refused with 429.
     serve max_queued: u32 = "1000";
     /// New uploads and fits leave so much of the data folder's disk free.
@@ -105,7 +105,7 @@ settings! {
     /// does not start without one. `keys`: everybody, always; right behind a proxy. `open`: nobody.
     serve auth: Auth = "auto";
     /// Origins whose pages may call the API from a browser, as `https://example.org`; `*` for all.
-    serve cors_origins: Vec<String> = "";
+    serve cors_origins: Origins = "";
     /// Send webhooks also by plain HTTP and to addresses of one's own network. Whoever may make a webhook can then make
     /// the server talk to what only it can reach.
     serve webhooks_to_private: bool = "false";

@@ -117,6 +117,25 @@ fn sizes_have_units() {
 }
 
 #[test]
+fn a_time_that_would_stop_all_work_is_refused() {
+    for key in ["stall_secs", "upload_ttl_secs"] {
+        let error = resolve(&format!("{key} = 0")).unwrap_err().to_string();
+        assert!(error.contains("1 or more"), "{error}");
+    }
+}
+
+#[test]
+fn origins_are_as_browsers_write_them() {
+    let origins = |text: &str| Origins::parse(text).map(|origins| origins.0.join(" "));
+    let read = origins("https://Example.org/, http://localhost:3000,*");
+    assert_eq!(read.as_deref(), Some("https://example.org http://localhost:3000 *"));
+    assert_eq!(origins("").as_deref(), Some(""));
+    for text in ["example.org", "https://", "https://example.org/page", "ftp://example.org", "https://*.example.org"] {
+        assert_eq!(origins(text), None, "{text}");
+    }
+}
+
+#[test]
 fn the_documented_table_is_that_of_the_settings() {
     let page = include_str!("../../docs/configuration.md");
     assert!(page.contains(&table()), "docs/configuration.md is stale: `effigy config --table` prints the table");

@@ -2,6 +2,7 @@
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// A kind of setting's value: [`Value::parse`] reads what [`Value::text`] writes.
 pub trait Value: Sized {
@@ -56,6 +57,55 @@ impl Value for Workers {
     }
 }
 
+/// A time that is none to be switched off by 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Seconds(pub u32);
+
+impl Seconds {
+    pub fn duration(self) -> Duration {
+        Duration::from_secs(self.0.into())
+    }
+}
+
+impl Value for Seconds {
+    fn kind() -> String {
+        "a number, 1 or more".into()
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        text.parse().ok().filter(|secs| *secs > 0).map(Seconds)
+    }
+
+    fn text(&self) -> String {
+        self.0.to_string()
+    }
+}
+
+/// Where pages come from, as browsers write it in `Origin`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Origins(pub Vec<String>);
+
+impl Value for Origins {
+    fn kind() -> String {
+        "a list of `scheme://host` or `scheme://host:port`, or `*`".into()
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        let origin = |item: &str| {
+            let item = item.trim_end_matches('/').to_lowercase();
+            let (scheme, host) = item.split_once("://").unwrap_or(("", ""));
+            let fits = |c: char| !c.is_whitespace() && !"/?#@*".contains(c);
+            let is_origin = ["http", "https"].contains(&scheme) && !host.is_empty() && host.chars().all(fits);
+            (is_origin || item == "*").then_some(item)
+        };
+        text.split(',').map(str::trim).filter(|item| !item.is_empty()).map(origin).collect::<Option<_>>().map(Origins)
+    }
+
+    fn text(&self) -> String {
+        self.0.join(",")
+    }
+}
+
 /// An enumeration whose values have names.
 macro_rules! choice {
     ($(#[doc = $doc:literal])+ $name:ident { $($(#[doc = $what:literal])+ $variant:ident = $text:literal,)+ }) => {
@@ -88,21 +138,6 @@ choice! {
         Keys = "keys",
         /// Never: whoever reaches the server may do everything.
         Open = "open",
-    }
-}
-
-/// Texts, separated by commas.
-impl Value for Vec<String> {
-    fn kind() -> String {
-        "a list".into()
-    }
-
-    fn parse(text: &str) -> Option<Self> {
-        Some(text.split(',').map(str::trim).filter(|item| !item.is_empty()).map(str::to_string).collect())
-    }
-
-    fn text(&self) -> String {
-        self.join(",")
     }
 }
 

@@ -42,6 +42,8 @@ pub enum EvalError {
     Refine(#[from] FitError),
     #[error(transparent)]
     Io(#[from] std::io::Error),
+    #[error("the folder has nothing to compare with: no masks.zip, truth/ or novel/")]
+    NoTruth,
     #[error("{picture}: {reason}")]
     Picture { picture: String, reason: String },
 }
@@ -59,6 +61,9 @@ pub fn evaluate(
     options: &EvalOptions<'_>,
     mut progress: impl FnMut(&str),
 ) -> Result<Report, EvalError> {
+    if subject.is_empty() {
+        return Err(EvalError::NoTruth);
+    }
     let mut report = Report::default();
     for i in 0..subject.surfaces.len() {
         progress(&format!("surface of frame {}", subject.surfaces[i].0));

@@ -139,6 +139,12 @@ impl Subject {
         Ok(subject)
     }
 
+    /// Whether it has nothing that an avatar could be compared with.
+    pub fn is_empty(&self) -> bool {
+        let Self { views, poses, joints, surfaces, masks, camera: _ } = self;
+        views.is_empty() && poses.is_empty() && joints.is_empty() && surfaces.is_empty() && masks.is_none()
+    }
+
     /// The truth's surface of `surfaces[i]`.
     pub fn surface(&self, i: usize) -> Result<Mesh, SubjectError> {
         let path = &self.surfaces[i].1;

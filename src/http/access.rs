@@ -19,8 +19,8 @@ use super::App;
 use super::error::ApiError;
 use super::extract::unknown;
 use super::links;
-use crate::jobs::Timestamp;
 use crate::jobs::keys::{Key, Keys, Scope, Token};
+use crate::jobs::{QueueError, Timestamp};
 
 /// Whom a server listens to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -160,6 +160,17 @@ impl Caller {
         let (Some(key), Some(keys)) = (self.key(), app.access.keys()) else { return Ok(None) };
         let Some(limit) = key.quota.max_bytes else { return Ok(None) };
         Ok(Some(BytesLeft { limit, left: limit.saturating_sub(keys.kept_bytes(key.id).await?) }))
+    }
+
+    /// Refuses a caller whose key has as many jobs waiting as it may.
+    pub async fn refuse_beyond_queue(&self, app: &App) -> Result<(), ApiError> {
+        let (Some(key), Some(keys)) = (self.key(), app.access.keys()) else { return Ok(()) };
+        match key.quota.max_queued.map(u64::from) {
+            Some(limit) if keys.queued_jobs(key.id).await? >= limit => {
+                Err(QueueError::Quota { what: "queued jobs", limit }.into())
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Whose jobs are to be seen; None for everybody's.

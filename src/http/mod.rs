@@ -86,7 +86,7 @@ pub fn router(app: App) -> Router {
         .layer(axum::middleware::map_request(mask_options))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
-        .layer(TraceLayer::new_for_http().make_span_with(span).on_response(tell_status))
+        .layer(TraceLayer::new_for_http().make_span_with(span).on_response(tell_status).on_failure(()))
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
 }
 

@@ -124,6 +124,14 @@ pub(super) async fn create(
             expected: known.into_iter().collect::<Vec<_>>().join(", "),
         });
     }
+    if events.is_empty() {
+        return Err(ApiError::Input {
+            detail: "the list of events is empty".into(),
+            part: "events".into(),
+            frame: None,
+            expected: "one event or more; without `events` those of a job's end".into(),
+        });
+    }
     let mut secret = vec![0; SECRET_BYTES];
     getrandom::fill(&mut secret).map_err(ApiError::internal)?;
     let text = format!("whsec_{}", BASE64_STANDARD.encode(&secret));

@@ -134,6 +134,8 @@ pub trait Keys: Send + Sync + 'static {
     fn owner_of(&self, job: Uuid) -> QueueFuture<'_, Option<Option<Uuid>>>;
     /// Bytes of inputs and results that are kept for a key.
     fn kept_bytes(&self, key: Uuid) -> QueueFuture<'_, u64>;
+    /// Jobs of a key that wait.
+    fn queued_jobs(&self, key: Uuid) -> QueueFuture<'_, u64>;
     /// The secret of this purpose; `fresh` becomes it where there is none yet.
     fn secret<'a>(&'a self, name: &'a str, fresh: [u8; 32]) -> QueueFuture<'a, Vec<u8>>;
 }

@@ -67,16 +67,27 @@ pub enum QueueError {
 /// SQLite's codes of a disk without room: SQLITE_FULL in all its forms, and SQLITE_IOERR_SHMSIZE, with which a database is not opened.
 const FULL: u32 = 13;
 const SHARED_MEMORY_SIZE: u32 = 4874;
+/// SQLITE_PERM, SQLITE_READONLY and SQLITE_CANTOPEN, in all their forms.
+const REFUSED: [u32; 3] = [3, 8, 14];
 
 impl QueueError {
-    /// Whether it was for want of room on the disk.
-    pub fn is_disk_full(&self) -> bool {
+    /// SQLite's extended code, where the error is SQLite's.
+    fn code(&self) -> Option<u32> {
         let (QueueError::Database(error) | QueueError::Migrate(sqlx::migrate::MigrateError::Execute(error))) = self
         else {
-            return false;
+            return None;
         };
-        let code = error.as_database_error().and_then(|error| error.code()?.parse::<u32>().ok());
-        code.is_some_and(|code| code & 0xff == FULL || code == SHARED_MEMORY_SIZE)
+        error.as_database_error()?.code()?.parse().ok()
+    }
+
+    /// Whether it was for want of room on the disk.
+    pub fn is_disk_full(&self) -> bool {
+        self.code().is_some_and(|code| code & 0xff == FULL || code == SHARED_MEMORY_SIZE)
+    }
+
+    /// Whether the files are another user's, or in a folder that is.
+    pub fn is_refused(&self) -> bool {
+        self.code().is_some_and(|code| REFUSED.contains(&(code & 0xff)))
     }
 }
 

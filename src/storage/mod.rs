@@ -54,9 +54,12 @@ impl Store {
     /// What belongs together, for people who move it: rows without their files are as useless as the other way round.
     pub const OF_THE_QUEUE: &str = "effigy.db, effigy.db-wal, effigy.db-shm and jobs";
 
-    /// Makes the folders that are missing.
+    /// Makes the folders that are missing, for this user alone: the database holds the secrets that sign links and webhooks.
     pub fn open(root: &Path) -> io::Result<Store> {
-        fs::create_dir_all(root)?;
+        let mut private = fs::DirBuilder::new();
+        #[cfg(unix)]
+        std::os::unix::fs::DirBuilderExt::mode(&mut private, 0o700);
+        private.recursive(true).create(root)?;
         let store = Store { root: root.canonicalize()?, reserve_bytes: 0, ballast: Arc::default() };
         for folder in [store.tmp(), store.jobs(), store.bodies(), store.renders(), store.workers(), store.uploads()] {
             fs::create_dir_all(folder)?;
@@ -66,6 +69,20 @@ impl Store {
 
     pub fn root(&self) -> &Path {
         &self.root
+    }
+
+    /// Whether all users of this machine can read the database.
+    #[cfg(unix)]
+    pub fn is_open_to_all(&self) -> bool {
+        use std::os::unix::fs::PermissionsExt;
+        let lets =
+            |path: &Path, bits: u32| fs::metadata(path).is_ok_and(|meta| meta.permissions().mode() & bits == bits);
+        lets(&self.root, 0o001) && (!self.database().exists() || lets(&self.database(), 0o004))
+    }
+
+    #[cfg(not(unix))]
+    pub fn is_open_to_all(&self) -> bool {
+        false
     }
 
     pub fn database(&self) -> PathBuf {
@@ -219,6 +236,3 @@ fn remove_dir(path: &Path) -> io::Result<()> {
         _ => Ok(()),
     }
 }
-
-#[cfg(test)]
-mod tests;

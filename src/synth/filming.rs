@@ -47,6 +47,17 @@ impl Default for Filming {
     }
 }
 
+/// What is asked for, its value, and the values that it may have.
+pub(super) fn check_ranges(ranges: &[(&str, f64, std::ops::RangeInclusive<f64>)]) -> Result<(), SynthError> {
+    match ranges.iter().find(|(_, value, range)| !range.contains(value)) {
+        Some((what, value, range)) => {
+            let expected = format!("{} to {}", range.start(), range.end());
+            Err(SynthError::Options(format!("{what} of {value}, expected {expected}")))
+        }
+        None => Ok(()),
+    }
+}
+
 impl Filming {
     pub(super) fn check(&self) -> Result<(), SynthError> {
         let ranges = [
@@ -60,13 +71,7 @@ impl Filming {
             ("a swing of the arms", self.arm_swing_degrees, 0.0..=60.0),
             ("a raised thigh", self.step_degrees, 0.0..=60.0),
         ];
-        match ranges.iter().find(|(_, value, range)| !range.contains(value)) {
-            Some((what, value, range)) => {
-                let expected = format!("{} to {}", range.start(), range.end());
-                Err(SynthError::Options(format!("{what} of {value}, expected {expected}")))
-            }
-            None => Ok(()),
-        }
+        check_ranges(&ranges)
     }
 
     /// Width and height in pixels; the longer side is `size_px`. Even, as video has it.

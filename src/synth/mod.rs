@@ -210,6 +210,12 @@ fn check(options: &SynthOptions) -> Result<(), SynthError> {
     if !(32..=4096).contains(&options.size_px) || !options.size_px.is_multiple_of(2) {
         return Err(SynthError::Options(format!("a size of {} px, expected 32 to 4096 and even", options.size_px)));
     }
+    let ranges = [
+        ("frames a second", options.fps, 1.0..=240.0),
+        ("a side light", f64::from(options.side_light), 0.0..=1.0),
+        ("a keypoint noise", options.keypoint_noise_px, 0.0..=100.0),
+    ];
+    filming::check_ranges(&ranges)?;
     options.filming.check()
 }
 

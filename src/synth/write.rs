@@ -31,6 +31,14 @@ pub(super) struct FolderWriter {
 impl FolderWriter {
     pub fn create(folder: &Path, options: &SynthOptions) -> Result<Self, SynthError> {
         std::fs::create_dir_all(folder.join("truth"))?;
+        // Of another clip, which had more of them: they would count as this one's truth.
+        for entry in std::fs::read_dir(folder.join("truth"))? {
+            let entry = entry?;
+            let name = entry.file_name();
+            if name.to_str().is_some_and(|name| name.starts_with("frame_") && name.ends_with(".ply")) {
+                std::fs::remove_file(entry.path())?;
+            }
+        }
         std::fs::create_dir_all(folder.join("novel"))?;
         let size = options.filming.size(options.size_px);
         Ok(Self {

@@ -22,11 +22,16 @@ pub struct Exporter {
     thread: Option<JoinHandle<()>>,
 }
 
+/// Where a collector takes spans.
+pub fn traces_url(endpoint: &str) -> Result<reqwest::Url> {
+    let url = format!("{}/v1/traces", endpoint.trim_end_matches('/'));
+    reqwest::Url::parse(&url).with_context(|| format!("the setting otlp_endpoint, {endpoint:?}"))
+}
+
 impl Exporter {
     /// To the collector at `endpoint` (`http://127.0.0.1:4318`), in the name of `role`.
     pub fn start(endpoint: &str, role: &'static str) -> Result<(SpanLayer, Exporter)> {
-        let url = format!("{}/v1/traces", endpoint.trim_end_matches('/'));
-        let url = reqwest::Url::parse(&url).with_context(|| format!("the setting otlp_endpoint, {endpoint:?}"))?;
+        let url = traces_url(endpoint)?;
         let (sink, source) = sync_channel(WAITING);
         let thread = std::thread::Builder::new().name("otlp".into());
         // The client keeps a runtime of its own, which must not be made within another.

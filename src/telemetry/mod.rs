@@ -5,5 +5,5 @@
 mod export;
 mod spans;
 
-pub use export::Exporter;
+pub use export::{Exporter, traces_url};
 pub use spans::SpanLayer;

@@ -1,7 +1,5 @@
 //! Settings through the program itself.
 
-use std::time::Duration;
-
 use effigy::config::{Config, Sources};
 use effigy::http::Limits;
 use effigy::jobs::Policy;
@@ -54,14 +52,13 @@ fn a_misspelt_key_ends_the_program_and_names_the_right_one() {
 fn what_a_part_takes_by_itself_is_what_the_settings_say() {
     let (config, _) = Config::resolve(&Sources::default()).unwrap();
     let (limits, policy, worker) = (Limits::default(), Policy::default(), WorkerSettings::default());
-    let seconds = |secs: u32| Duration::from_secs(secs.into());
     assert_eq!(limits.upload_bytes, config.max_upload_bytes.0);
     assert_eq!(
         (limits.open_uploads, limits.open_upload_bytes),
         (config.max_open_uploads as usize, config.max_open_upload_bytes.0)
     );
-    assert_eq!(limits.upload_ttl, seconds(config.upload_ttl_secs));
+    assert_eq!(limits.upload_ttl, config.upload_ttl_secs.duration());
     assert_eq!(policy.max_queued, u64::from(config.max_queued));
-    assert_eq!((policy.retention, worker.stall), (None, seconds(config.stall_secs)));
+    assert_eq!((policy.retention, worker.stall), (None, config.stall_secs.duration()));
     assert_eq!(config.retain_days, None);
 }

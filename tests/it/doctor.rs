@@ -110,7 +110,16 @@ fn a_machine_that_has_all_is_well() {
     let (_, report) = doctor(data.path(), |command| {
         command.arg("--disk-reserve-bytes=5000TiB");
     });
-    assert_eq!(check(&report, "disk")["state"], "warning", "no upload has room: {report}");
+    assert_eq!(check(&report, "disk")["state"], "failed", "no upload has room: {report}");
+    for (argument, wrong) in
+        [("--log=x==", "the setting log"), ("--otlp-endpoint=nonsense", "the setting otlp_endpoint")]
+    {
+        let (_, report) = doctor(data.path(), |command| {
+            command.arg(argument);
+        });
+        let told = check(&report, "log");
+        assert!(told["state"] == "failed" && told["found"].as_str().unwrap().contains(wrong), "{told}");
+    }
 }
 
 #[test]

@@ -44,6 +44,10 @@ fn a_folder_becomes_an_avatar_that_can_be_measured_and_rendered() {
         serde_json::from_str(&written(&["eval", text(clip), "--model", text(&model), "--json"])).unwrap();
     assert!(report["summary"]["scaled_novel_views"]["psnr_db"].as_f64().unwrap() > 15.0, "{}", report["summary"]);
 
+    let nothing = effigy(&["eval", text(&out.join("work")), "--model", text(&model)]);
+    let said = String::from_utf8_lossy(&nothing.stderr);
+    assert!(!nothing.status.success() && said.contains("nothing to compare with"), "{said}");
+
     let pictures = folder.path().join("pictures");
     written(&["render", "--model", text(&model), "--frame", "0", "--out", text(&pictures)]);
     let picture = std::fs::read_dir(&pictures).unwrap().next().unwrap().unwrap().path();
@@ -62,4 +66,16 @@ fn a_folder_that_lacks_a_part_says_which() {
     let error = String::from_utf8(output.stderr).unwrap();
     assert!(error.contains("masks: give a clip's folder, or --masks FILE"), "{error}");
     assert!(!folder.path().join("avatar").exists(), "nothing is begun");
+}
+
+#[test]
+fn a_made_clip_keeps_no_truth_of_the_one_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let surfaces = |frames: &str, truths: &str| {
+        let size = ["--body", "test", "--size", "64", "--out", text(folder.path())];
+        written(&[&["synth", "--frames", frames, "--truths", truths], &size[..]].concat());
+        let names = std::fs::read_dir(folder.path().join("truth")).unwrap().map(|entry| entry.unwrap().file_name());
+        names.filter(|name| name.to_string_lossy().starts_with("frame_")).count()
+    };
+    assert_eq!((surfaces("6", "3"), surfaces("4", "1")), (3, 1));
 }

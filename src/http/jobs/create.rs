@@ -63,7 +63,7 @@ pub(super) async fn create(State(app): State<App>, caller: Caller, request: Requ
         None => false,
     };
     // A repeated request makes no second job: it needs no place in the queue and nothing of the quota.
-    let quota = if is_known { None } else { left_of_quota(&app, &caller).await? };
+    let quota = if is_known { None } else { left_of_quota(&app, &caller, &headers).await? };
     let limits = match &quota {
         Some(quota) => Limits { upload_bytes: app.limits.upload_bytes.min(quota.left), ..app.limits.clone() },
         None => app.limits.clone(),
@@ -96,11 +96,16 @@ pub(super) async fn create(State(app): State<App>, caller: Caller, request: Requ
     }
 }
 
+/// Whether a request names finished uploads, instead of bringing the files.
+fn is_json(headers: &HeaderMap) -> bool {
+    let kind = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
+    kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
+}
+
 /// The body, on the disk.
 async fn read(app: &App, request: Request, limits: &Limits, hash: bool) -> Result<Received, ApiError> {
     let lateness = request.extensions().get::<Lateness>().cloned().unwrap_or_default();
-    let kind = request.headers().get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or("");
-    if kind.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json")) {
+    if is_json(request.headers()) {
         let too_much = |_| match lateness.is_late() {
             true => ApiError::TooSlow,
             false => ApiError::TooLarge {
@@ -175,8 +180,17 @@ fn content_length(headers: &HeaderMap) -> Option<u64> {
 
 /// What the caller's key may still keep, where that is less than the server takes. The transaction that puts the job in decides;
 /// this spares the caller a long upload in vain.
-async fn left_of_quota(app: &App, caller: &Caller) -> Result<Option<BytesLeft>, ApiError> {
-    match caller.bytes_left(app).await? {
+async fn left_of_quota(app: &App, caller: &Caller, headers: &HeaderMap) -> Result<Option<BytesLeft>, ApiError> {
+    caller.refuse_beyond_queue(app).await?;
+    let mut quota = caller.bytes_left(app).await?;
+    // A form uses none of the caller's open uploads, so what they were promised is not for it.
+    if let Some(quota) = quota.as_mut().filter(|_| !is_json(headers)) {
+        let (store, owner) = (app.store.clone(), caller.key_id());
+        let open = tokio::task::spawn_blocking(move || store.open_resumables()).await.map_err(ApiError::internal)??;
+        let promised = open.iter().filter(|(about, _)| about.owner == owner).map(|(about, _)| about.bytes).sum();
+        quota.left = quota.left.saturating_sub(promised);
+    }
+    match quota {
         Some(BytesLeft { limit, left: 0 }) => Err(QueueError::Quota { what: "bytes kept", limit }.into()),
         quota => Ok(quota.filter(|quota| quota.left < app.limits.upload_bytes)),
     }

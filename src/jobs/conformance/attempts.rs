@@ -45,6 +45,15 @@ pub async fn a_killed_attempt_that_moved_on_is_not_counted(b: Bench) {
     assert!(matches!(b.queue.retry(id).await.unwrap(), Change::Done(job) if job.attempt == 0 && job.excused == 0));
 }
 
+pub async fn a_job_that_was_given_back_tells_no_time_left(b: Bench) {
+    let id = b.add().await;
+    let lease = b.claim().await.unwrap();
+    b.queue.report(&lease, &report(0.5)).await.unwrap();
+    assert_eq!(b.job(id).await.eta_secs, Some(60.0));
+    b.queue.give_back(&lease).await.unwrap();
+    assert_eq!((b.job(id).await.state, b.job(id).await.eta_secs), (State::Queued, None));
+}
+
 /// As after an upgrade: what another program had saved is no measure for what this one saves.
 pub async fn a_killed_attempt_that_began_anew_and_moved_on_is_not_counted(b: Bench) {
     let id = b.add().await;

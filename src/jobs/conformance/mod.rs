@@ -90,6 +90,7 @@ macro_rules! suite {
             heartbeats_and_progress_keep_the_lease
             a_job_that_kills_its_worker_fails_after_its_attempts
             a_killed_attempt_that_moved_on_is_not_counted
+            a_job_that_was_given_back_tells_no_time_left
             a_killed_attempt_that_began_anew_and_moved_on_is_not_counted
             an_attempt_that_fails_by_itself_is_counted_wherever_it_got
             a_job_that_passes_its_deadline_fails

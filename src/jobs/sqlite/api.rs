@@ -12,6 +12,7 @@ use super::super::{
 };
 use super::SqliteQueue;
 use super::rows::{self, add_state_event, select_jobs, to_json};
+use super::webhooks;
 
 /// A page of the list. Conditions that are not asked for are left out, not made true: no index serves `? IS NULL OR …`.
 pub(super) fn list(filter: &ListFilter) -> QueryBuilder<Sqlite> {
@@ -167,12 +168,13 @@ impl SqliteQueue {
     pub(super) async fn delete(&self, id: Uuid) -> Result<Deletion, QueueError> {
         let mut tx = self.write().await?;
         let now = self.env.now();
-        let gone = sqlx::query("DELETE FROM jobs WHERE id = ? AND state NOT IN ('running', 'canceling')")
-            .bind(id.to_string())
-            .execute(&mut *tx)
-            .await?
-            .rows_affected();
-        if gone > 0 {
+        let Some(job) = rows::read(&mut tx, id).await? else { return Ok(Deletion::Unknown) };
+        if !matches!(job.state, State::Running | State::Canceling) {
+            // Whoever heard of it waiting hears that it will not run.
+            if job.state == State::Queued {
+                webhooks::tell(&mut tx, &Job { state: State::Canceled, updated_at: now, ..job }).await?;
+            }
+            sqlx::query("DELETE FROM jobs WHERE id = ?").bind(id.to_string()).execute(&mut *tx).await?;
             tx.commit().await?;
             return Ok(Deletion::Gone);
         }
@@ -271,7 +273,7 @@ impl SqliteQueue {
         .fetch_one(&mut *tx)
         .await?;
         let oldest: Option<i64> =
-            sqlx::query_scalar("SELECT min(created_at) FROM jobs WHERE state = 'queued'").fetch_one(&mut *tx).await?;
+            sqlx::query_scalar("SELECT min(run_at) FROM jobs WHERE state = 'queued'").fetch_one(&mut *tx).await?;
         let device_peak: Option<i64> = sqlx::query_scalar(
             "SELECT max(json_extract(metrics, '$.peak_device_bytes')) FROM avatars WHERE created_at >= ?",
         )

@@ -34,14 +34,14 @@ pub async fn copy(database: &Path, to: &Path, now: super::super::Timestamp) -> R
     let mut copy = connect(to).await?;
     sqlx::query(
         "UPDATE jobs SET state = 'queued', owner = NULL, lease_until = NULL, attempt = attempt - 1, run_at = ?1, \
-         preview = NULL, updated_at = ?1, version = version + 1 WHERE state = 'running'",
+         preview = NULL, eta_secs = NULL, updated_at = ?1, version = version + 1 WHERE state = 'running'",
     )
     .bind(now.0)
     .execute(&mut copy)
     .await?;
     sqlx::query(
         "UPDATE jobs SET state = 'canceled', owner = NULL, lease_until = NULL, finished_at = ?1, preview = NULL, \
-         updated_at = ?1, version = version + 1 WHERE state = 'canceling'",
+         eta_secs = NULL, updated_at = ?1, version = version + 1 WHERE state = 'canceling'",
     )
     .bind(now.0)
     .execute(&mut copy)

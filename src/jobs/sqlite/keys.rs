@@ -72,6 +72,10 @@ impl SqliteQueue {
         kept(&mut *self.readers.acquire().await?, owner).await
     }
 
+    async fn queued_jobs(&self, owner: Uuid) -> Result<u64, QueueError> {
+        queued(&mut *self.readers.acquire().await?, owner).await
+    }
+
     async fn secret(&self, name: &str, fresh: [u8; 32]) -> Result<Vec<u8>, QueueError> {
         let mut tx = self.write().await?;
         sqlx::query("INSERT INTO secrets (name, value, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
@@ -91,14 +95,10 @@ impl SqliteQueue {
         let row =
             sqlx::query("SELECT * FROM api_keys WHERE id = ?").bind(owner.to_string()).fetch_one(&mut **tx).await?;
         let quota = key(&row)?.quota;
-        if let Some(limit) = quota.max_queued {
-            let queued: i64 = sqlx::query_scalar("SELECT count(*) FROM jobs WHERE key_id = ? AND state = 'queued'")
-                .bind(owner.to_string())
-                .fetch_one(&mut **tx)
-                .await?;
-            if queued >= i64::from(limit) {
-                return Err(QueueError::Quota { what: "queued jobs", limit: limit.into() });
-            }
+        if let Some(limit) = quota.max_queued.map(u64::from)
+            && queued(tx, owner).await? >= limit
+        {
+            return Err(QueueError::Quota { what: "queued jobs", limit });
         }
         if let Some(limit) = quota.max_bytes {
             let kept = kept(tx, owner).await?;
@@ -125,6 +125,14 @@ impl From<[u8; 32]> for Needle {
     fn from(hash: [u8; 32]) -> Self {
         Needle::Bytes(hash.to_vec())
     }
+}
+
+async fn queued(connection: &mut sqlx::SqliteConnection, owner: Uuid) -> Result<u64, QueueError> {
+    let jobs: i64 = sqlx::query_scalar("SELECT count(*) FROM jobs WHERE key_id = ? AND state = 'queued'")
+        .bind(owner.to_string())
+        .fetch_one(connection)
+        .await?;
+    Ok(jobs as u64)
 }
 
 async fn kept(connection: &mut sqlx::SqliteConnection, owner: Uuid) -> Result<u64, QueueError> {
@@ -200,6 +208,10 @@ impl Keys for SqliteQueue {
 
     fn kept_bytes(&self, key: Uuid) -> QueueFuture<'_, u64> {
         Box::pin(self.kept_bytes(key))
+    }
+
+    fn queued_jobs(&self, key: Uuid) -> QueueFuture<'_, u64> {
+        Box::pin(self.queued_jobs(key))
     }
 
     fn secret<'a>(&'a self, name: &'a str, fresh: [u8; 32]) -> QueueFuture<'a, Vec<u8>> {

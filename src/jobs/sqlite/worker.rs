@@ -229,7 +229,7 @@ impl SqliteQueue {
         } else {
             sqlx::query(
                 "UPDATE jobs SET state = 'queued', owner = NULL, lease_until = NULL, attempt = attempt - 1, run_at = ?3, \
-                 updated_at = ?3, version = version + 1 WHERE id = ?1 AND epoch = ?2",
+                 eta_secs = NULL, updated_at = ?3, version = version + 1 WHERE id = ?1 AND epoch = ?2",
             )
             .bind(lease.job.to_string())
             .bind(lease.epoch)

@@ -170,6 +170,10 @@ async fn a_quota_of_waiting_jobs_and_of_bytes_holds() {
     let second = few.upload(&Form::clip()).await;
     assert_eq!(second.problem(429)["type"], "urn:effigy:problem:quota-exceeded");
     assert_eq!(second.header("retry-after"), "60");
+    // Before the body is read: this is none.
+    let headers = [("authorization", few.header.as_str()), ("content-type", Form::TYPE)];
+    let early = bench.call(Method::POST, "/v1/jobs", &headers, "no form").await;
+    assert_eq!(early.problem(429)["type"], "urn:effigy:problem:quota-exceeded");
     let path = format!("/v1/jobs/{}/cancel", first.json()["id"].as_str().unwrap());
     few.call(Method::POST, &path, "").await;
     assert_eq!(few.upload(&Form::clip()).await.status, 202, "a canceled job does not wait");
@@ -186,6 +190,20 @@ async fn a_quota_of_waiting_jobs_and_of_bytes_holds() {
     // Nothing of what was refused is left: two jobs of the first key, one of the second.
     assert_eq!(bench.store.job_folders().unwrap().len(), 3);
     assert_eq!(std::fs::read_dir(bench.store.root().join("tmp")).unwrap().count(), 0);
+}
+
+#[tokio::test]
+async fn what_open_uploads_were_promised_is_not_for_a_form() {
+    let (bench, _) = Bench::guarded(Openness::Keys, &[]).await;
+    let size: u64 = Form::clip().0.iter().map(|(_, content)| content.len() as u64).sum();
+    let small = bench.key("small", &USER, Quota { max_bytes: Some(size + 500), ..Quota::default() }).await;
+    let own = of_bytes(600);
+    let headers = [("authorization", small.header.as_str()), ("tus-resumable", &own[0].1), (own[1].0, &own[1].1)];
+    let begun = bench.call(Method::POST, "/v1/uploads", &headers, Body::empty()).await;
+    assert_eq!(begun.status, 201);
+    assert_eq!(small.upload(&Form::clip()).await.problem(429)["type"], "urn:effigy:problem:quota-exceeded");
+    bench.call(Method::DELETE, begun.header("location"), &headers[..2], Body::empty()).await;
+    assert_eq!(small.upload(&Form::clip()).await.status, 202);
 }
 
 /// `upload-length` and the protocol's version.

@@ -10,7 +10,7 @@ async fn the_figures_tell_waits_failures_and_what_is_undelivered() {
     let bench = Bench::with(Limits::default(), Policy::default(), 0, Env::new(clock.clone(), 1)).await;
     assert_eq!(bench.queue.figures().await.unwrap(), effigy::jobs::Figures::default());
     bench.add_job().await;
-    bench.add_job().await;
+    let waiting = bench.add_job().await;
     clock.advance(std::time::Duration::from_secs(30));
     let lease = bench.claim().await;
     bench.queue.fail(&lease, JobError::new("diverged", "offsets"), effigy::jobs::Repeat::Never).await.unwrap();
@@ -18,6 +18,12 @@ async fn the_figures_tell_waits_failures_and_what_is_undelivered() {
     let figures = bench.queue.figures().await.unwrap();
     assert_eq!((figures.failed, figures.started), (vec![("diverged".to_string(), 1)], 1));
     assert_eq!((figures.waited_secs, figures.oldest_secs, figures.deliveries), (30.0, 42.0, 0));
+    // What is queued again has waited since then.
+    bench.queue.cancel(waiting).await.unwrap();
+    clock.advance(std::time::Duration::from_secs(100));
+    bench.queue.retry(waiting).await.unwrap();
+    clock.advance(std::time::Duration::from_secs(3));
+    assert_eq!(bench.queue.figures().await.unwrap().oldest_secs, 3.0);
     let text = String::from_utf8(bench.get("/metrics").await.body).unwrap();
     for name in [
         "effigy_failed_jobs{type=\"diverged\"}",

@@ -127,6 +127,21 @@ async fn a_change_of_a_job_is_told_once_and_signed() {
 }
 
 #[tokio::test]
+async fn a_job_that_is_deleted_while_it_waits_is_told_as_canceled() {
+    let receiver = Receiver::start().await;
+    let (bench, _) = Bench::telling(true).await;
+    bench.subscribe(json!({ "url": format!("http://{}/", receiver.address) })).await;
+    let job = bench.add_job().await;
+    let path = format!("/v1/jobs/{job}");
+    let delete = || bench.call(Method::DELETE, &path, &[], Body::empty());
+    assert_eq!(delete().await.status, 204);
+    assert_eq!(delete().await.status, 404);
+    assert_eq!(bench.courier(system_lookup(), true).round().await.unwrap(), 1);
+    let told: Value = serde_json::from_str(&receiver.take()[0].body).unwrap();
+    assert_eq!((&told["type"], &told["data"]["job"]), (&json!("job.canceled"), &json!(job)));
+}
+
+#[tokio::test]
 async fn what_is_not_taken_is_sent_again_for_days_and_survives_a_restart() {
     let receiver = Receiver::start().await;
     let (bench, clock) = Bench::telling(true).await;
@@ -308,6 +323,7 @@ async fn a_webhook_that_cannot_be_is_refused() {
         (json!({ "url": "nonsense" }), "url"),
         (json!({ "url": format!("https://hooks.example/{}", "x".repeat(3000)) }), "url"),
         (json!({ "url": "https://hooks.example/", "events": ["job.sneezed"] }), "events"),
+        (json!({ "url": "https://hooks.example/", "events": [] }), "events"),
     ] {
         assert_eq!(bench.post_json("/v1/webhooks", &body).await.problem(422)["part"], part, "{body}");
     }
