@@ -378,9 +378,10 @@ async function turntable(id, signal, rotation = [1, 0, 0, 0, 1, 0, 0, 0, 1]) {
   for (const [drawn, view] of order.entries()) {
     const pose = inWorld(standing((2 * Math.PI * view) / VIEWS), rotation);
     const picture = await patiently(() => post(`v1/avatars/${id}/renders`, { pose, pelvis, camera }, signal));
+    const blob = await picture.blob();
     if (signal.aborted) return;
-    pictures[view] = URL.createObjectURL(await picture.blob());
-    signal.addEventListener("abort", () => URL.revokeObjectURL(pictures[view]));
+    pictures[view] = URL.createObjectURL(blob);
+    signal.addEventListener("abort", () => URL.revokeObjectURL(pictures[view]), { once: true });
     $("drawn").textContent = drawn + 1 < VIEWS ? `${drawn + 1} of ${VIEWS} sides drawn` : "";
     look();
   }

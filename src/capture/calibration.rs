@@ -13,8 +13,6 @@ use crate::json::JsonError;
 /// the usual crop for stabilisation): 62°.
 const GUESSED_FIELD_OF_VIEW: f64 = 62.0 * std::f64::consts::PI / 180.0;
 
-const EXPECTED: &str = "JSON with width, height, fx, fy, cx, cy in pixels";
-
 /// A camera for images of this size of which nothing is known but the width of a pixel over its height.
 pub(super) fn guess(width: u32, height: u32, pixel_aspect: f64) -> Camera {
     // In heights of a pixel.
@@ -42,9 +40,9 @@ fn bad(message: impl Into<String>, expected: impl Into<String>) -> BadInput {
 fn parse(text: &[u8]) -> Result<Camera, BadInput> {
     let text = text::plain(Part::Camera, text)?;
     let json: Map<String, Value> =
-        serde_json::from_slice(text).map_err(|e| bad(format!("the JSON cannot be used: {e}"), EXPECTED))?;
+        serde_json::from_slice(text).map_err(|e| bad(format!("the JSON cannot be used: {e}"), "an object"))?;
     let camera = camera::from_json(&json)
-        .map_err(|JsonError { message, expected, .. }| bad(message, expected.unwrap_or_else(|| EXPECTED.into())))?;
+        .map_err(|JsonError { message, expected, .. }| bad(message, expected.unwrap_or_default()))?;
     check(&camera)?;
     Ok(camera)
 }

@@ -34,23 +34,23 @@ impl ImageStream {
         }
         let mut stream = Self { part, archive, pixels, labels: false, next: 0, deadline };
         if part == Part::Masks {
-            stream.labels = stream.holds_labels()?;
+            stream.labels = stream.holds_labels();
         }
         Ok(stream)
     }
 
     /// Whether those of some masks that show anything are maps of labels. What cannot be read is told when its turn comes.
-    fn holds_labels(&mut self) -> Result<bool, CaptureError> {
+    fn holds_labels(&mut self) -> bool {
         let (mut labels, count) = (false, self.archive.len());
         for k in 0..LOOKED_AT.min(count) {
-            let bytes = self.archive.read(k * count / LOOKED_AT.min(count), IMAGE_BYTES)?;
+            let Ok(bytes) = self.archive.read(k * count / LOOKED_AT.min(count), IMAGE_BYTES) else { return false };
             match self.image(&bytes).map(|image| Kind::of(&image)) {
                 Ok(Kind::Labels) => labels = true,
                 Ok(Kind::Black) => {}
-                Ok(Kind::Other) | Err(_) => return Ok(false),
+                Ok(Kind::Other) | Err(_) => return false,
             }
         }
-        Ok(labels)
+        labels
     }
 
     pub fn warnings(&self) -> Vec<String> {

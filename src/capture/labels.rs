@@ -1,7 +1,7 @@
 //! Masks that are maps of labels: tools that tell parts of the body or of the clothes apart write each pixel's part, in colours
 //! or as small numbers, and 0, black, for all that is nobody. Masks of 0 and 1 are the least of them.
 
-use image::DynamicImage;
+use image::{DynamicImage, RgbImage};
 
 use crate::mask::is_black;
 
@@ -25,7 +25,7 @@ impl Kind {
         if image.color().has_alpha() {
             return Self::Other;
         }
-        let image = image.to_rgb8();
+        let image = numbers(image);
         let mut labels: Vec<[u8; 3]> = Vec::new();
         let (mut set, mut flat, mut black) = (0, 0, false);
         for row in image.rows() {
@@ -53,6 +53,17 @@ impl Kind {
     }
 }
 
+/// The image's own numbers. Those of 16 bits are labels only where 8 bits would do.
+fn numbers(image: &DynamicImage) -> RgbImage {
+    match image {
+        DynamicImage::ImageLuma16(wide) if wide.iter().all(|&value| value < 256) => {
+            let narrow = wide.iter().flat_map(|&value| [value as u8; 3]).collect();
+            RgbImage::from_raw(wide.width(), wide.height(), narrow).expect("as many numbers")
+        }
+        other => other.to_rgb8(),
+    }
+}
+
 fn is_coloured([r, g, b]: &[u8; 3]) -> bool {
     r != g || g != b
 }
@@ -64,12 +75,12 @@ fn is_alike(a: [u8; 3], b: [u8; 3]) -> bool {
 
 /// The mask in a map: whatever has a label.
 pub(super) fn mask(image: &DynamicImage) -> Vec<u8> {
-    image.to_rgb8().pixels().map(|pixel| if pixel.0 == [0; 3] { 0 } else { 255 }).collect()
+    numbers(image).pixels().map(|pixel| if pixel.0 == [0; 3] { 0 } else { 255 }).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use image::{GrayImage, Rgb, RgbImage, RgbaImage};
+    use image::{GrayImage, Rgb, RgbaImage};
 
     use super::*;
 
@@ -98,6 +109,9 @@ mod tests {
             let set = mask(&map).chunks(60).flatten().filter(|&&value| value == 255).count();
             assert_eq!((set, mask(&map)[0]), (20 * 60, 0));
         }
+        let wide = image::ImageBuffer::from_fn(60, 60, |x, _| image::Luma([u16::from((20..40).contains(&x))]));
+        let wide = DynamicImage::ImageLuma16(wide);
+        assert_eq!((Kind::of(&wide), mask(&wide)[30], mask(&wide)[0]), (Kind::Labels, 255, 0));
         for parts in [[grey(255), grey(255)], [grey(60), grey(200)]] {
             assert_eq!(Kind::of(&painted(parts)), Kind::Other, "{parts:?}");
         }

@@ -171,6 +171,13 @@ fn disk(data: &Path, reserve: u64) -> Check {
                 );
                 return Check::failed("disk", found, mend);
             }
+            if store.is_open_to_all() {
+                let mend = format!(
+                    "chmod o-rwx {}: whoever reads the database can sign links to every avatar",
+                    data.display()
+                );
+                return Check::warning("disk", format!("{found}, which all users of this machine can read"), mend);
+            }
             if free < little {
                 let mend = format!(
                     "make room, or set retain_days and start the service anew; {} are kept free (disk_reserve_bytes), and with \
@@ -179,13 +186,6 @@ fn disk(data: &Path, reserve: u64) -> Check {
                     Bytes(little).text()
                 );
                 return Check::warning("disk", found, mend);
-            }
-            if store.is_open_to_all() {
-                let mend = format!(
-                    "chmod o-rwx {}: whoever reads the database can sign links to every avatar",
-                    data.display()
-                );
-                return Check::warning("disk", format!("{found}, which all users of this machine can read"), mend);
             }
             Check::ok("disk", found)
         }

@@ -130,7 +130,9 @@ fn origins_are_as_browsers_write_them() {
     let read = origins("https://Example.org/, http://localhost:3000,*");
     assert_eq!(read.as_deref(), Some("https://example.org http://localhost:3000 *"));
     assert_eq!(origins("").as_deref(), Some(""));
-    for text in ["example.org", "https://", "https://example.org/page", "ftp://example.org", "https://*.example.org"] {
+    let read = origins("https://example.org:443,http://Bücher.example,capacitor://localhost,null");
+    assert_eq!(read.as_deref(), Some("https://example.org http://xn--bcher-kva.example capacitor://localhost null"));
+    for text in ["example.org", "https://", "https://example.org/page", "https://h:abc", "https://*.example.org"] {
         assert_eq!(origins(text), None, "{text}");
     }
 }

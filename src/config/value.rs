@@ -81,23 +81,33 @@ impl Value for Seconds {
     }
 }
 
+/// An origin as browsers write it: in lower case, a name of other letters in its own spelling, without the scheme's own port.
+fn origin(text: &str) -> Option<String> {
+    if ["*", "null"].contains(&text) {
+        return Some(text.into());
+    }
+    let (scheme, host) = text.split_once("://")?;
+    let host = host.trim_end_matches('/');
+    if host.is_empty() || host.chars().any(|c| c.is_whitespace() || "/?#@*".contains(c)) {
+        return None;
+    }
+    match scheme.to_lowercase().as_str() {
+        "http" | "https" => Some(reqwest::Url::parse(text).ok()?.origin().ascii_serialization()),
+        // Of apps and extensions.
+        other => Some(format!("{other}://{}", host.to_lowercase())),
+    }
+}
+
 /// Where pages come from, as browsers write it in `Origin`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Origins(pub Vec<String>);
 
 impl Value for Origins {
     fn kind() -> String {
-        "a list of `scheme://host` or `scheme://host:port`, or `*`".into()
+        "a list of `scheme://host` or `scheme://host:port`, `null` or `*`".into()
     }
 
     fn parse(text: &str) -> Option<Self> {
-        let origin = |item: &str| {
-            let item = item.trim_end_matches('/').to_lowercase();
-            let (scheme, host) = item.split_once("://").unwrap_or(("", ""));
-            let fits = |c: char| !c.is_whitespace() && !"/?#@*".contains(c);
-            let is_origin = ["http", "https"].contains(&scheme) && !host.is_empty() && host.chars().all(fits);
-            (is_origin || item == "*").then_some(item)
-        };
         text.split(',').map(str::trim).filter(|item| !item.is_empty()).map(origin).collect::<Option<_>>().map(Origins)
     }
 

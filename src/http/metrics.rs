@@ -43,7 +43,10 @@ fn describe() {
     describe_gauge!("effigy_stage_jobs_total", "Jobs that went through a stage");
     describe_gauge!("effigy_stage_seconds_total", "Seconds that jobs spent in a stage");
     describe_gauge!("effigy_failed_jobs", "Failed jobs that are kept, by the type of their error");
-    describe_gauge!("effigy_queue_oldest_seconds", "How long the oldest waiting job has been there");
+    describe_gauge!(
+        "effigy_queue_oldest_seconds",
+        "How long the oldest waiting job has waited, since it was queued or queued again"
+    );
     describe_gauge!("effigy_queue_wait_seconds_sum", "Seconds from creation to first claim, of all jobs that are kept");
     describe_gauge!("effigy_queue_wait_seconds_count", "Jobs that are kept and were ever claimed");
     describe_gauge!("effigy_device_peak_bytes", "The most device memory that a fit of the last day took");

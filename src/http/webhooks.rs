@@ -37,6 +37,7 @@ pub(super) struct WebhookBody {
     url: String,
     /// `job.queued`, `job.running`, `job.succeeded`, `job.failed`, `job.canceled`, `job.expired`; without them, the last
     /// four.
+    #[schema(min_items = 1)]
     events: Option<BTreeSet<String>>,
 }
 
@@ -97,7 +98,7 @@ pub(super) struct WebhookList {
             content_type = "application/problem+json"),
         (status = 429, description = "The key has as many webhooks as it may", body = Problem,
             content_type = "application/problem+json"),
-        (status = 422, description = "Not https, not public, or an unknown event", body = Problem,
+        (status = 422, description = "Not https, not public, or an unknown event or none", body = Problem,
             content_type = "application/problem+json"),
     )
 )]

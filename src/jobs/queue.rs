@@ -198,7 +198,7 @@ pub struct Figures {
     /// Jobs that are kept and were ever claimed, and how long they waited for that, all together.
     pub started: u64,
     pub waited_secs: f64,
-    /// How long the oldest job in the queue has been there; 0 without any.
+    /// How long the oldest waiting job has waited, since it was queued or queued again; 0 without any.
     pub oldest_secs: f64,
     /// The most device memory that a fit of the last day took.
     pub device_peak_bytes: Option<u64>,

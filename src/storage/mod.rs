@@ -71,13 +71,14 @@ impl Store {
         &self.root
     }
 
-    /// Whether all users of this machine can read the database.
+    /// Whether all users of this machine can read the database, or could read one that is made.
     #[cfg(unix)]
     pub fn is_open_to_all(&self) -> bool {
         use std::os::unix::fs::PermissionsExt;
         let lets =
             |path: &Path, bits: u32| fs::metadata(path).is_ok_and(|meta| meta.permissions().mode() & bits == bits);
-        lets(&self.root, 0o001) && (!self.database().exists() || lets(&self.database(), 0o004))
+        self.root.ancestors().all(|folder| lets(folder, 0o001))
+            && (!self.database().exists() || lets(&self.database(), 0o004))
     }
 
     #[cfg(not(unix))]
@@ -236,3 +237,6 @@ fn remove_dir(path: &Path) -> io::Result<()> {
         _ => Ok(()),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -62,7 +62,7 @@ impl Store {
         file.sync_all()
     }
 
-    /// The same where nobody waits for it; not while it is given up for something.
+    /// The same where nobody waits for it; not while this process gives it up for something.
     pub fn reload_ballast(&self) {
         let Ok(_all_there) = self.ballast.try_lock() else { return };
         if let Err(error) = self.load_ballast() {

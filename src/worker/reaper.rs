@@ -10,6 +10,8 @@ use crate::jobs::{Queue, QueueError};
 use crate::storage::Store;
 
 const ROUND: Duration = Duration::from_secs(2);
+/// Free bytes that leave room beside what is kept for deletions.
+const PLENTY: u64 = 32 << 20;
 
 /// Looks every other second for leases whose worker is dead or silent, deadlines that have passed, and files that nobody needs.
 pub struct Reaper {
@@ -31,7 +33,10 @@ impl Reaper {
     /// One look, even on a full disk; then what is kept for deletions is loaded again, whoever gave it up.
     pub async fn round(&self) -> Result<(), QueueError> {
         let looked = self.store.despite_full_disk(QueueError::is_disk_full, || self.look()).await;
-        self.store.reload_ballast();
+        // Not from the little that a deletion which is under way has won.
+        if self.store.free_bytes().is_ok_and(|free| free > PLENTY) {
+            self.store.reload_ballast();
+        }
         looked
     }
 

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Masks and keypoints of a video of one person, by MediaPipe: a clip that `effigy fit` and the service take.
 
-    python3 -m venv detect && detect/bin/pip install -r tools/detect/requirements.txt
-    detect/bin/python tools/detect/detect.py phone.mp4 clip
-    effigy fit clip
+    python3 -m venv ~/detect && ~/detect/bin/pip install -r tools/detect/requirements.txt
+    ~/detect/bin/python tools/detect/detect.py phone.mp4 ~/clip
+    effigy fit ~/clip
 
 Any other segmentation and detector will do; what they must write is in openapi.yaml. Masks of 256 pixels a side, which these are,
 take a shadow or a reflection at the feet for a part of the shoe: look at them.

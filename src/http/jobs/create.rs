@@ -63,7 +63,7 @@ pub(super) async fn create(State(app): State<App>, caller: Caller, request: Requ
         None => false,
     };
     // A repeated request makes no second job: it needs no place in the queue and nothing of the quota.
-    let quota = if is_known { None } else { left_of_quota(&app, &caller, &headers).await? };
+    let quota = if is_known { None } else { left_of_quota(&app, &caller).await? };
     let limits = match &quota {
         Some(quota) => Limits { upload_bytes: app.limits.upload_bytes.min(quota.left), ..app.limits.clone() },
         None => app.limits.clone(),
@@ -82,6 +82,7 @@ pub(super) async fn create(State(app): State<App>, caller: Caller, request: Requ
         }
     }
     let used = received.adopt(&app, &caller, &limits).await.map_err(blame)?;
+    refuse_beyond_promises(&app, &caller, &received, &used).await?;
     let (received, clip) = inspect(&app, received).await?;
     match accept(app, caller.key_id(), received, clip, remember.clone(), used).await? {
         Insertion::Queued(job) => {
@@ -180,20 +181,25 @@ fn content_length(headers: &HeaderMap) -> Option<u64> {
 
 /// What the caller's key may still keep, where that is less than the server takes. The transaction that puts the job in decides;
 /// this spares the caller a long upload in vain.
-async fn left_of_quota(app: &App, caller: &Caller, headers: &HeaderMap) -> Result<Option<BytesLeft>, ApiError> {
+async fn left_of_quota(app: &App, caller: &Caller) -> Result<Option<BytesLeft>, ApiError> {
     caller.refuse_beyond_queue(app).await?;
-    let mut quota = caller.bytes_left(app).await?;
-    // A form uses none of the caller's open uploads, so what they were promised is not for it.
-    if let Some(quota) = quota.as_mut().filter(|_| !is_json(headers)) {
-        let (store, owner) = (app.store.clone(), caller.key_id());
-        let open = tokio::task::spawn_blocking(move || store.open_resumables()).await.map_err(ApiError::internal)??;
-        let promised = open.iter().filter(|(about, _)| about.owner == owner).map(|(about, _)| about.bytes).sum();
-        quota.left = quota.left.saturating_sub(promised);
-    }
-    match quota {
+    match caller.bytes_left(app).await? {
         Some(BytesLeft { limit, left: 0 }) => Err(QueueError::Quota { what: "bytes kept", limit }.into()),
         quota => Ok(quota.filter(|quota| quota.left < app.limits.upload_bytes)),
     }
+}
+
+/// Refuses a job that would take what the caller's open uploads were promised, but for those that it uses.
+async fn refuse_beyond_promises(app: &App, caller: &Caller, received: &Received, used: &Used) -> Result<(), ApiError> {
+    let Some(BytesLeft { limit, left }) = caller.bytes_left(app).await? else { return Ok(()) };
+    let (store, owner) = (app.store.clone(), caller.key_id());
+    let open = tokio::task::spawn_blocking(move || store.open_resumables()).await.map_err(ApiError::internal)??;
+    let own = open.iter().filter(|(about, _)| about.owner == owner).map(|(about, _)| about.bytes).sum::<u64>();
+    let left = left.saturating_sub(own.saturating_sub(used.bytes_of(owner)));
+    if received.bytes() > left {
+        return Err(ApiError::quota_left(limit, left));
+    }
+    Ok(())
 }
 
 /// What is larger than the key's quota leaves is not too large: it has room when jobs are deleted.

@@ -225,6 +225,10 @@ impl Received {
         }
     }
 
+    pub fn bytes(&self) -> u64 {
+        self.inputs.values().map(|part| part.bytes).sum()
+    }
+
     /// Takes the finished uploads that the request named as its parts. They stay until the job is
     /// accepted, so that a refused request can be mended.
     pub async fn adopt(&mut self, app: &App, caller: &Caller, limits: &Limits) -> Result<Used, ApiError> {
@@ -245,7 +249,7 @@ impl Received {
             };
             used.0.insert(id, taken);
         }
-        let mut total: u64 = self.inputs.values().map(|part| part.bytes).sum();
+        let mut total = self.bytes();
         for (part, id) in references {
             let (found, _) = &used.0[&id];
             let bytes = found.about.bytes;
@@ -272,6 +276,11 @@ impl Received {
 pub(in crate::http) struct Used(BTreeMap<Uuid, (ResumableUpload, Turn)>);
 
 impl Used {
+    /// The bytes of those that are this key's.
+    pub fn bytes_of(&self, owner: Option<Uuid>) -> u64 {
+        self.0.values().filter(|(upload, _)| upload.about.owner == owner).map(|(upload, _)| upload.about.bytes).sum()
+    }
+
     /// The files are the job's now.
     pub async fn remove(self, store: &Arc<Store>) {
         let store = store.clone();

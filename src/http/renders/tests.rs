@@ -95,13 +95,10 @@ fn each_wrong_value_is_named() {
         (camera(json!({ "cx": 1e300 })), "camera.cx"),
         (camera(json!({ "rotation": vec![0; 9] })), "camera.rotation"),
         (camera(json!({ "rotation": flip })), "camera.rotation"),
-        (camera(json!({ "distortion": vec![0; 8] })), "camera.distortion"),
         (camera(json!({ "k1": 1e9 })), "camera.distortion"),
     ] {
         match check(body.clone()) {
-            Err(ApiError::Input { part, .. } | ApiError::Malformed { part: Some(part), .. }) => {
-                assert_eq!(part, wrong, "{body}");
-            }
+            Err(ApiError::Input { part, .. }) => assert_eq!(part, wrong, "{body}"),
             other => panic!("{body}: {:?}", other.map(|_| "accepted")),
         }
     }

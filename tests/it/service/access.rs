@@ -203,7 +203,19 @@ async fn what_open_uploads_were_promised_is_not_for_a_form() {
     assert_eq!(begun.status, 201);
     assert_eq!(small.upload(&Form::clip()).await.problem(429)["type"], "urn:effigy:problem:quota-exceeded");
     bench.call(Method::DELETE, begun.header("location"), &headers[..2], Body::empty()).await;
-    assert_eq!(small.upload(&Form::clip()).await.status, 202);
+
+    // Those that it uses are its own bytes, not others'.
+    let clip = Form::clip();
+    let video = clip.0.iter().find(|(part, _)| part == "video").unwrap().1.clone();
+    let own = of_bytes(video.len() as u64);
+    let headers = [("authorization", small.header.as_str()), ("tus-resumable", &own[0].1), (own[1].0, &own[1].1)];
+    let begun = bench.call(Method::POST, "/v1/uploads", &headers, Body::empty()).await;
+    let path = begun.header("location");
+    let piece = [headers[0], headers[1], ("upload-offset", "0"), ("content-type", "application/offset+octet-stream")];
+    assert_eq!(bench.call(Method::PATCH, path, &piece, video).await.status, 204);
+    let named = json!({ "video": path.rsplit('/').next().unwrap() }).to_string();
+    let job = small.upload(&clip.without("video").with("uploads", named)).await;
+    assert_eq!(job.status, 202, "{}", job.json());
 }
 
 /// `upload-length` and the protocol's version.

@@ -165,6 +165,7 @@ async fn bad_renders_are_refused() {
         (json!({ "frame": 0, "camera": { "width": 10 } }), "camera"),
         (json!({ "frame": 0, "camera": with("rotaton", json!([1, 0, 0, 0, 1, 0, 0, 0, 1])) }), "camera.rotaton"),
         (json!({ "frame": 0, "camera": with("distortion", json!({ "k9": 1 })) }), "camera.distortion"),
+        (json!({ "frame": 0, "camera": with("distortion", json!(vec![0; 8])) }), "camera.distortion"),
         (json!({ "frame": 0, "camera": with("k4", json!(0.1)) }), "camera.k4"),
         (json!({ "frame": 0, "camera": with("fx", json!("9")) }), "camera.fx"),
         (json!({ "frame": 0, "camera": [10, 10, 9, 9, 5, 5] }), "camera"),
