@@ -16,7 +16,6 @@ preset=${PRESET:-draft}
 mkdir -p "$out"
 out=$(realpath "$out")
 data=$out/data
-mkdir -p "$data"
 
 json() { # json KEY…: prints a field of the JSON on standard input, nothing where it is null
     python3 -c '

@@ -38,6 +38,14 @@ pub fn body_path_in(data_dir: &Path, name: &str) -> PathBuf {
     data_dir.join("bodies").join(format!("{}.body.npz", body_name(name)))
 }
 
+/// Makes a data folder where there is none, for this user alone: its database will hold the secrets that sign links and webhooks.
+pub fn create(root: &Path) -> std::io::Result<()> {
+    let mut private = std::fs::DirBuilder::new();
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut private, 0o700);
+    private.recursive(true).create(root)
+}
+
 fn choose(variable: impl Fn(&str) -> Option<PathBuf>) -> PathBuf {
     variable("EFFIGY_DATA_DIR")
         .or_else(|| variable("XDG_DATA_HOME").map(|path| path.join("effigy")))
@@ -48,6 +56,17 @@ fn choose(variable: impl Fn(&str) -> Option<PathBuf>) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_that_is_made_is_this_users_alone() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let made = folder.path().join("share/effigy");
+        create(&made).unwrap();
+        create(&made).unwrap();
+        assert_eq!(made.metadata().unwrap().permissions().mode() & 0o777, 0o700);
+    }
 
     #[test]
     fn a_name_cannot_leave_the_folder() {

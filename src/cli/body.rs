@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, ensure};
 use effigy::body::Body;
 use effigy::body::import::{ImportOptions, import};
-use effigy::data_dir::{body_path_in, data_dir};
+use effigy::data_dir::{self, body_path_in, data_dir};
 
 #[derive(clap::Args)]
 pub struct Args {
@@ -86,7 +86,13 @@ fn load(data: &Path, body: &str) -> Result<Body> {
 fn run_import(data: &Path, file: &Path, out: Option<PathBuf>, options: &ImportOptions) -> Result<()> {
     let start = Instant::now();
     let imported = import(file, options).with_context(|| file.display().to_string())?;
-    let out = out.unwrap_or_else(|| body_path_in(data, &imported.body.name));
+    let out = match out {
+        Some(out) => out,
+        None => {
+            data_dir::create(data).with_context(|| data.display().to_string())?;
+            body_path_in(data, &imported.body.name)
+        }
+    };
     imported.body.save(&out).with_context(|| out.display().to_string())?;
     print!("{}", describe(&imported.body));
     for note in &imported.notes {

@@ -34,6 +34,7 @@ use tokio::sync::Mutex;
 use uuid::Uuid;
 
 use crate::atomic_file::sync_dir;
+use crate::data_dir;
 
 pub use backup::{Copied, How};
 pub use publish::Published;
@@ -54,12 +55,9 @@ impl Store {
     /// What belongs together, for people who move it: rows without their files are as useless as the other way round.
     pub const OF_THE_QUEUE: &str = "effigy.db, effigy.db-wal, effigy.db-shm and jobs";
 
-    /// Makes the folders that are missing, for this user alone: the database holds the secrets that sign links and webhooks.
+    /// Makes the folders that are missing.
     pub fn open(root: &Path) -> io::Result<Store> {
-        let mut private = fs::DirBuilder::new();
-        #[cfg(unix)]
-        std::os::unix::fs::DirBuilderExt::mode(&mut private, 0o700);
-        private.recursive(true).create(root)?;
+        data_dir::create(root)?;
         let store = Store { root: root.canonicalize()?, reserve_bytes: 0, ballast: Arc::default() };
         for folder in [store.tmp(), store.jobs(), store.bodies(), store.renders(), store.workers(), store.uploads()] {
             fs::create_dir_all(folder)?;
