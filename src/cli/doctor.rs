@@ -254,8 +254,8 @@ async fn database(data: &Path, config: &Config) -> Vec<Check> {
     let Ok(store) = Store::open(data) else { return Vec::new() };
     match open_queue(&store, &Env::system(), policy(config)).await {
         Err(error) => {
-            let is_refused = error.chain().filter_map(|e| e.downcast_ref::<QueueError>()).any(QueueError::is_refused);
-            vec![Check::failed("database", format!("{error:#}"), if is_refused { OWN } else { restore })]
+            let mend = if service::is_queues(&error, QueueError::is_refused) { OWN } else { restore };
+            vec![Check::failed("database", format!("{error:#}"), mend)]
         }
         Ok(queue) => {
             let whole = Check::ok("database", format!("{}, whole", path.display()));

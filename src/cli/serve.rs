@@ -15,7 +15,7 @@ use effigy::storage::Store;
 use effigy::webhooks::{Courier, Sender, system_lookup};
 use effigy::worker::{Reaper, Supervisor, SupervisorSettings};
 
-use super::service::{self, KeysFound, asked_to_end, open_queue, open_with_reserve, policy, start_log};
+use super::service::{self, KeysFound, asked_to_end, is_queues, open_queue, open_with_reserve, policy, start_log};
 use super::settings::{InForce, ServerSettings};
 
 #[derive(clap::Args)]
@@ -41,9 +41,7 @@ async fn serve(in_force: InForce) -> Result<()> {
         bail!("another server uses the data folder {}", store.root().display());
     };
     let env = Env::system();
-    let is_full = |error: &anyhow::Error| {
-        error.chain().filter_map(|e| e.downcast_ref::<QueueError>()).any(QueueError::is_disk_full)
-    };
+    let is_full = |error: &anyhow::Error| is_queues(error, QueueError::is_disk_full);
     let queue = store.despite_full_disk(is_full, || begin(&store, &env, config)).await?;
     store.load_ballast().context("keeping a little room for deletions")?;
     let reaper = tokio::spawn(Reaper { queue: queue.clone(), store: store.clone() }.run());

@@ -10,7 +10,7 @@ use effigy::config::{Auth, Config, LogFormat};
 use effigy::http::Openness;
 use effigy::jobs::keys::Keys;
 use effigy::jobs::sqlite::SqliteQueue;
-use effigy::jobs::{Env, Policy};
+use effigy::jobs::{Env, Policy, QueueError};
 use effigy::storage::Store;
 use effigy::telemetry::Exporter;
 use effigy::webhooks::install_cryptography;
@@ -50,6 +50,11 @@ pub fn openness(config: &Config, keys: KeysFound) -> Option<Openness> {
         Auth::Auto if !config.listen.ip().is_loopback() && !keys.living => None,
         Auth::Auto | Auth::Keys => Some(Openness::Keys),
     }
+}
+
+/// Whether the queue is what failed, and in this way.
+pub fn is_queues(error: &anyhow::Error, way: fn(&QueueError) -> bool) -> bool {
+    error.chain().filter_map(|e| e.downcast_ref::<QueueError>()).any(way)
 }
 
 /// What is logged.

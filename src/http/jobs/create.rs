@@ -15,6 +15,7 @@ use crate::http::access::{BytesLeft, Caller};
 use crate::http::app::{App, InspectError, Limits};
 use crate::http::error::{ApiError, Problem};
 use crate::http::pace::Lateness;
+use crate::http::uploads::promised;
 use crate::jobs::{Clip, Insertion, Job, NewJob, QueueError, Remember, Remembered};
 
 /// How long a clip waits for others that are looked at.
@@ -194,8 +195,7 @@ async fn refuse_beyond_promises(app: &App, caller: &Caller, received: &Received,
     let Some(BytesLeft { limit, left }) = caller.bytes_left(app).await? else { return Ok(()) };
     let (store, owner) = (app.store.clone(), caller.key_id());
     let open = tokio::task::spawn_blocking(move || store.open_resumables()).await.map_err(ApiError::internal)??;
-    let own = open.iter().filter(|(about, _)| about.owner == owner).map(|(about, _)| about.bytes).sum::<u64>();
-    let left = left.saturating_sub(own.saturating_sub(used.bytes_of(owner)));
+    let left = left.saturating_sub(promised(&open, owner).saturating_sub(used.bytes_of(owner)));
     if received.bytes() > left {
         return Err(ApiError::quota_left(limit, left));
     }

@@ -170,6 +170,11 @@ fn refuse_too_many(
     Ok(())
 }
 
+/// The bytes of a key's open uploads.
+pub(super) fn promised(open: &[(AboutUpload, u64)], owner: Option<Uuid>) -> u64 {
+    open.iter().filter(|(about, _)| about.owner == owner).map(|(about, _)| about.bytes).sum()
+}
+
 /// Open uploads count towards the bytes that a key may keep.
 fn refuse_beyond_quota(
     open: &[(AboutUpload, u64)],
@@ -177,8 +182,7 @@ fn refuse_beyond_quota(
     quota: Option<BytesLeft>,
 ) -> Result<(), ApiError> {
     let Some(BytesLeft { limit, left }) = quota else { return Ok(()) };
-    let own = open.iter().filter(|(about, _)| about.owner == asked.owner).map(|(about, _)| about.bytes).sum::<u64>();
-    if own.saturating_add(asked.bytes) > left {
+    if promised(open, asked.owner).saturating_add(asked.bytes) > left {
         return Err(QueueError::Quota { what: "bytes kept", limit }.into());
     }
     Ok(())
