@@ -71,8 +71,14 @@ impl Fingerprint {
     /// Sixteen hexadecimal digits.
     #[must_use]
     pub fn digits(self) -> String {
-        self.0.finalize()[..8].iter().map(|byte| format!("{byte:02x}")).collect()
+        hex(&self.0.finalize()[..8])
     }
+}
+
+/// Lower-case hexadecimal digits, as digests are written everywhere.
+#[must_use]
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The file that runs, also where another has taken its place since.

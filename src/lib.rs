@@ -27,6 +27,7 @@ pub mod novel;
 pub mod npz;
 pub mod ops;
 pub mod page;
+pub mod picture;
 pub mod quality;
 pub mod robustness;
 pub mod storage;

@@ -25,6 +25,6 @@ pub use gltf::{Texture, write_glb};
 pub use model::{AvatarModel, ModelError};
 pub use motion::write_motion;
 pub use pose::{Pose, vertex_normals};
-pub use render::{Background, Light, Place, RenderError, RenderSpec, Renderer};
+pub use render::{Place, RenderError, RenderSpec, Renderer};
 pub use texture::SurfaceTexture;
 pub use trace::{MAX_SIDE_PX, Picture, Shading, SurfacePoint, Tracer, view_space};

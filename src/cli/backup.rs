@@ -15,14 +15,14 @@ use serde::{Deserialize, Serialize};
 use uuid::Uuid;
 
 use super::service::open_store;
-use super::settings::WorkerSettings;
+use super::settings::CommonFlags;
 
 #[derive(clap::Args)]
 pub struct BackupArgs {
     /// A folder that does not exist or is empty.
     folder: PathBuf,
     #[command(flatten)]
-    settings: WorkerSettings,
+    settings: CommonFlags,
 }
 
 #[derive(clap::Args)]
@@ -30,7 +30,7 @@ pub struct RestoreArgs {
     /// What `effigy backup` made.
     folder: PathBuf,
     #[command(flatten)]
-    settings: WorkerSettings,
+    settings: CommonFlags,
 }
 
 /// `backup.json`

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 
-use super::settings::ServerSettings;
+use super::settings::ServerFlags;
 
 #[derive(clap::Args)]
 pub struct Args {
@@ -10,7 +10,7 @@ pub struct Args {
     #[arg(long)]
     table: bool,
     #[command(flatten)]
-    settings: ServerSettings,
+    settings: ServerFlags,
 }
 
 pub fn run(args: Args) -> Result<()> {

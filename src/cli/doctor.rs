@@ -16,7 +16,7 @@ use effigy::storage::Store;
 use serde::Serialize;
 
 use super::service::{self, KeysFound, open_queue, policy};
-use super::settings::ServerSettings;
+use super::settings::ServerFlags;
 
 #[derive(clap::Args)]
 pub struct Args {
@@ -24,7 +24,7 @@ pub struct Args {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    settings: ServerSettings,
+    settings: ServerFlags,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

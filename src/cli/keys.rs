@@ -10,7 +10,7 @@ use effigy::jobs::keys::{Key, Keys, NewKey, Quota, Scope, Token};
 use effigy::jobs::{Env, Timestamp};
 
 use super::service::{open_queue, open_store, policy};
-use super::settings::WorkerSettings;
+use super::settings::CommonFlags;
 
 #[derive(clap::Args)]
 pub struct Args {
@@ -25,13 +25,13 @@ enum Command {
     /// List all keys.
     List {
         #[command(flatten)]
-        settings: WorkerSettings,
+        settings: CommonFlags,
     },
     /// End a key, by its name or id. Its jobs stay.
     Revoke {
         key: String,
         #[command(flatten)]
-        settings: WorkerSettings,
+        settings: CommonFlags,
     },
 }
 
@@ -59,7 +59,7 @@ struct Create {
     #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..))]
     expires_in_days: Option<u32>,
     #[command(flatten)]
-    settings: WorkerSettings,
+    settings: CommonFlags,
 }
 
 fn scope(text: &str) -> Result<Scope, String> {
@@ -97,7 +97,7 @@ pub async fn run(args: Args) -> Result<()> {
     }
 }
 
-async fn open(settings: &WorkerSettings) -> Result<impl Keys> {
+async fn open(settings: &CommonFlags) -> Result<impl Keys> {
     let in_force = settings.resolve()?;
     let store = open_store(&in_force.config.data_dir())?;
     let queue = open_queue(&store, &Env::system(), policy(&in_force.config)).await?;

@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use effigy::avatar::{AvatarModel, Background, Light, Place, Pose, RenderSpec, Renderer};
+use effigy::avatar::{AvatarModel, Place, Pose, RenderSpec, Renderer};
 use effigy::body::N_POSE;
 use effigy::camera::Camera;
 use effigy::capture::read_camera;
 use effigy::gpu::{DeviceSelect, Gpu};
-use effigy::jobs::render::hex_colour;
 use effigy::npz::Npz;
+use effigy::picture::{Background, Light};
 use effigy::video_writer::{Quality, VideoError, VideoWriter};
 use glam::{Quat, Vec3};
 use image::{DynamicImage, RgbaImage};
@@ -41,7 +41,7 @@ pub struct Args {
     #[arg(long, value_parser = clap::value_parser!(u32).range(16..=8192))]
     size: Option<u32>,
     /// `transparent` or `#rrggbb`.
-    #[arg(long, default_value = "transparent", value_parser = background)]
+    #[arg(long, default_value = "transparent")]
     background: Background,
     /// `captured`: the light of the clip. `none`: the albedo, as the GLB's texture has it.
     #[arg(long, default_value = "captured", value_parser = light)]
@@ -56,14 +56,6 @@ pub struct Args {
 
 fn light(text: &str) -> Result<Light, serde::de::value::Error> {
     Light::deserialize(text.into_deserializer())
-}
-
-fn background(text: &str) -> Result<Background, String> {
-    if text == "transparent" {
-        return Ok(Background::Transparent);
-    }
-    let colour = hex_colour(text).ok_or_else(|| format!("`{text}` is neither `transparent` nor `#rrggbb`"))?;
-    Ok(Background::Colour(colour))
 }
 
 pub fn run(args: Args) -> Result<()> {

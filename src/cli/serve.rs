@@ -16,12 +16,12 @@ use effigy::webhooks::{Courier, Sender, system_lookup};
 use effigy::worker::{Reaper, Supervisor, SupervisorSettings};
 
 use super::service::{self, KeysFound, asked_to_end, is_queues, open_queue, open_with_reserve, policy, start_log};
-use super::settings::{InForce, ServerSettings};
+use super::settings::{InForce, ServerFlags};
 
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    settings: ServerSettings,
+    settings: ServerFlags,
 }
 
 pub fn run(args: Args) -> Result<()> {
@@ -56,11 +56,7 @@ async fn serve(in_force: InForce) -> Result<()> {
     };
     let supervision = supervisor.clone().map(|supervisor| tokio::spawn(supervisor.run()));
 
-    let openness = openness(config, queue.as_ref()).await?;
-    let mut fresh = [0; 32];
-    getrandom::fill(&mut fresh).context("the system's randomness")?;
-    let secret = queue.secret("links", fresh).await?;
-    let access = Access::new(openness, queue.clone(), config.cors_origins.0.clone(), secret);
+    let access = access(config, &queue).await?;
     let asked = asked_to_end();
     let listener = tokio::net::TcpListener::bind(config.listen).await;
     let listener = listener.with_context(|| format!("listening on {}", config.listen))?;
@@ -79,17 +75,7 @@ async fn serve(in_force: InForce) -> Result<()> {
     let app = App::new(queue.clone(), store, renderer, inspector, env.clone(), limits)
         .with_access(access)
         .with_webhooks(queue.clone(), config.webhooks_to_private);
-    let courier = match Sender::new(system_lookup(), config.webhooks_to_private) {
-        Ok(sender) => Some(tokio::spawn(Courier { webhooks: queue.clone(), sender, env }.run())),
-        // All else works without, and messages wait in the database.
-        Err(error) => {
-            tracing::error!(
-                error = format!("{error:#}"),
-                "webhooks wait for a start with CA certificates (ca-certificates)"
-            );
-            None
-        }
-    };
+    let courier = courier(&queue, env, config).map(|courier| tokio::spawn(courier.run()));
     let end = async move {
         asked.await;
         tracing::info!("the server ends");
@@ -107,6 +93,27 @@ async fn serve(in_force: InForce) -> Result<()> {
     }
     queue.close().await;
     Ok(())
+}
+
+/// Who may ask what, and the secret that signs links.
+async fn access(config: &Config, queue: &Arc<SqliteQueue>) -> Result<Access> {
+    let openness = openness(config, queue.as_ref()).await?;
+    let mut fresh = [0; 32];
+    getrandom::fill(&mut fresh).context("the system's randomness")?;
+    let secret = queue.secret("links", fresh).await?;
+    Ok(Access::new(openness, queue.clone(), config.cors_origins.0.clone(), secret))
+}
+
+/// None on a machine that trusts nobody: all else works without, and messages wait in the database.
+fn courier(queue: &Arc<SqliteQueue>, env: Env, config: &Config) -> Option<Courier> {
+    match Sender::new(system_lookup(), config.webhooks_to_private) {
+        Ok(sender) => Some(Courier { webhooks: queue.clone(), sender, env }),
+        Err(error) => {
+            let error = format!("{error:#}");
+            tracing::error!(error, "webhooks wait for a start with CA certificates (ca-certificates)");
+            None
+        }
+    }
 }
 
 /// Opens the database and brings it and the files to what holds now.

@@ -8,21 +8,21 @@ use anyhow::Result;
 use clap::{Arg, ArgAction, ArgMatches, Command, FromArgMatches};
 use effigy::config::{Config, Effective, SETTINGS, Setting, Sources, find_file};
 
-/// Flags of a command; `ALL` also those that only the server follows.
+/// The settings that a command was given; `ALL` also those that only the server follows.
 #[derive(Clone, Debug, Default)]
-pub struct Settings<const ALL: bool> {
+pub struct Flags<const ALL: bool> {
     flags: BTreeMap<String, String>,
     file: Option<PathBuf>,
 }
 
-pub type ServerSettings = Settings<true>;
-pub type WorkerSettings = Settings<false>;
+pub type ServerFlags = Flags<true>;
+pub type CommonFlags = Flags<false>;
 
 fn taken(all: bool) -> impl Iterator<Item = &'static Setting> {
     SETTINGS.iter().filter(move |setting| all || setting.worker)
 }
 
-impl<const ALL: bool> clap::Args for Settings<ALL> {
+impl<const ALL: bool> clap::Args for Flags<ALL> {
     fn augment_args(command: Command) -> Command {
         let file = Arg::new("config")
             .long("config")
@@ -50,7 +50,7 @@ fn argument(setting: &'static Setting) -> Arg {
         .help_heading("Settings")
 }
 
-impl<const ALL: bool> FromArgMatches for Settings<ALL> {
+impl<const ALL: bool> FromArgMatches for Flags<ALL> {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
         let mut settings = Self::default();
         settings.update_from_arg_matches(matches)?;
@@ -76,7 +76,7 @@ pub struct InForce {
     pub strange: Vec<(String, String)>,
 }
 
-impl<const ALL: bool> Settings<ALL> {
+impl<const ALL: bool> Flags<ALL> {
     pub fn resolve(&self) -> Result<InForce> {
         // A variable that is no UTF-8 is nothing that we know.
         let variables = std::env::vars_os().filter_map(|(k, v)| Some((k.into_string().ok()?, v.into_string().ok()?)));

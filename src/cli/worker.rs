@@ -9,12 +9,12 @@ use effigy::worker::{self, DeviceEngine, DeviceThread, Owner, Reaper, Worker, ch
 use tokio::sync::watch;
 
 use super::service::{asked_to_end, open_queue, open_with_reserve, policy, start_log};
-use super::settings::WorkerSettings;
+use super::settings::CommonFlags;
 
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    settings: WorkerSettings,
+    settings: CommonFlags,
     /// Serve a server's renders on standard input and output, and end with the input.
     #[arg(long, hide = true)]
     renders_on_stdio: bool,

@@ -69,32 +69,8 @@ pub fn evaluate(
         progress(&format!("surface of frame {}", subject.surfaces[i].0));
         report.geometry.extend(geometry(renderer.model(), subject, i)?);
     }
-    let mut cards = Cards::default();
-    let mut warnings = Vec::new();
-    let mut compare = |set: Set, novels: &[Novel]| -> Result<Vec<ImageScore>, EvalError> {
-        let folder = options.out.map(|out| out.join(set.folder()));
-        if let Some(folder) = &folder {
-            std::fs::create_dir_all(folder)?;
-        }
-        let mut scores = Vec::new();
-        for novel in novels {
-            progress(&format!("{} {}", set.name(), novel.name));
-            let mut spec = spec_of(renderer.model(), novel, &mut warnings);
-            if set == Set::Refined {
-                spec = refined(renderer, novel, spec)?;
-            }
-            let shot = Shot::draw(renderer, novel, spec)?;
-            let score = shot.score(options.lpips)?;
-            if let Some(folder) = &folder {
-                let path = folder.join(format!("{}.png", novel.name));
-                let failed = |e: image::ImageError| EvalError::picture(novel, &e);
-                shot.side_by_side().save(&path).map_err(failed)?;
-                cards.add(set, &score, &shot);
-            }
-            scores.push(score);
-        }
-        Ok(scores)
-    };
+    let mut comparison = Comparison { renderer, options, cards: Cards::default(), warnings: Vec::new() };
+    let mut compare = |set: Set, novels: &[Novel]| comparison.compare(set, novels, &mut progress);
     report.novel_views = compare(Set::Plain, &subject.views)?;
     report.novel_poses = compare(Set::Plain, &subject.poses)?;
     let scale = report.scale();
@@ -111,6 +87,7 @@ pub fn evaluate(
     if options.refine {
         report.refined_novel_poses = compare(Set::Refined, &scaled(&subject.poses))?;
     }
+    let Comparison { cards, mut warnings, .. } = comparison;
     // A picture that is compared in several ways warns once.
     warnings.sort();
     warnings.dedup();
@@ -128,6 +105,45 @@ pub fn evaluate(
         std::fs::write(out.join("eval.html"), page::html(&report, &cards))?;
     }
     Ok(report)
+}
+
+/// Held-out pictures against the renderer's, and what is kept of that for the page.
+struct Comparison<'a> {
+    renderer: &'a Renderer,
+    options: &'a EvalOptions<'a>,
+    cards: Cards,
+    warnings: Vec<String>,
+}
+
+impl Comparison<'_> {
+    fn compare(
+        &mut self,
+        set: Set,
+        novels: &[Novel],
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<Vec<ImageScore>, EvalError> {
+        let folder = self.options.out.map(|out| out.join(set.folder()));
+        if let Some(folder) = &folder {
+            std::fs::create_dir_all(folder)?;
+        }
+        let mut scores = Vec::new();
+        for novel in novels {
+            progress(&format!("{} {}", set.name(), novel.name));
+            let mut spec = spec_of(self.renderer.model(), novel, &mut self.warnings);
+            if set == Set::Refined {
+                spec = refined(self.renderer, novel, spec)?;
+            }
+            let shot = Shot::draw(self.renderer, novel, spec)?;
+            let score = shot.score(self.options.lpips)?;
+            if let Some(folder) = &folder {
+                let path = folder.join(format!("{}.png", novel.name));
+                shot.side_by_side().save(&path).map_err(|error| EvalError::picture(novel, &error))?;
+                self.cards.add(set, &score, &shot);
+            }
+            scores.push(score);
+        }
+        Ok(scores)
+    }
 }
 
 /// Where the clip's camera stands in its world.

@@ -8,9 +8,10 @@ use super::lpips::Lpips;
 use super::report::{ImageFigures, ImageScore};
 use super::run::EvalError;
 use super::subject::Novel;
-use crate::avatar::{Background, RenderSpec, Renderer, Shading};
+use crate::avatar::{RenderSpec, Renderer, Shading};
 use crate::mask::is_foreground;
 use crate::page::{heat_map, over, strip};
+use crate::picture::Background;
 
 /// Samples along a pixel's side of the compared pictures: the truth's are well antialiased.
 const SAMPLES: u32 = 4;

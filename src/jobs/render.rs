@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use tempfile::TempPath;
 
 use crate::camera::Camera;
+use crate::picture::{Background, Light};
 
 /// A picture or a mesh to be made from an avatar model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -58,32 +59,6 @@ pub enum Place {
     Translation([f32; 3]),
     /// The position of the pelvis joint.
     Pelvis([f32; 3]),
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Light {
-    /// As the clip was lit.
-    #[default]
-    Captured,
-    /// The bare base colour.
-    None,
-}
-
-/// What lies behind the person: nothing, or sRGB.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Background {
-    #[default]
-    Transparent,
-    Colour([u8; 3]),
-}
-
-/// `#rrggbb`.
-pub fn hex_colour(text: &str) -> Option<[u8; 3]> {
-    let hex = text.strip_prefix('#').filter(|hex| hex.len() == 6 && hex.bytes().all(|b| b.is_ascii_hexdigit()))?;
-    let [_, r, g, b] = u32::from_str_radix(hex, 16).ok()?.to_be_bytes();
-    Some([r, g, b])
 }
 
 /// Why there is no picture.

@@ -23,6 +23,7 @@ mod resumable;
 mod serve;
 mod space;
 mod upload;
+mod writer;
 
 use std::collections::HashSet;
 use std::fs::{self, File};
@@ -40,7 +41,8 @@ pub use backup::{Copied, How};
 pub use publish::Published;
 pub use resumable::{AboutUpload, Appender, ResumableUpload};
 pub use serve::{ByteRange, open_range, parse_range};
-pub use upload::{PartWriter, Upload};
+pub use upload::Upload;
+pub use writer::Writer;
 
 /// The data folder.
 #[derive(Clone, Debug)]

@@ -7,6 +7,7 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 
 use crate::atomic_file::sync_dir;
+use crate::fingerprint::hex;
 
 /// A result file, flushed to the disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -52,6 +53,5 @@ fn seal_file(path: &Path, name: String) -> io::Result<Published> {
         hash.update(&buffer[..n]);
         bytes += n as u64;
     }
-    let sha256 = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-    Ok(Published { name, bytes, sha256 })
+    Ok(Published { name, bytes, sha256: hex(&hash.finalize()) })
 }

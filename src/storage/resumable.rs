@@ -12,15 +12,12 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use serde::{Deserialize, Serialize};
-use tokio::io::{AsyncSeekExt, AsyncWriteExt, BufWriter};
+use tokio::io::AsyncSeekExt;
 use uuid::Uuid;
 
-use super::{Store, names};
+use super::{Store, Writer, names};
 use crate::atomic_file::{self, sync_dir};
 
-const BUFFER_BYTES: usize = 1 << 20;
-/// The disk is asked for room before each such stretch.
-const LOOK_BYTES: u64 = 16 << 20;
 /// Clocks of files are coarser than the system's.
 const MARGIN: Duration = Duration::from_secs(1);
 
@@ -159,8 +156,7 @@ impl Store {
         let mut file = tokio::fs::OpenOptions::new().write(true).open(folder.join("data")).await?;
         // Not the end: a write that was under way when its request was dropped may come yet, and is then written over.
         file.seek(io::SeekFrom::Start(upload.offset)).await?;
-        let file = BufWriter::with_capacity(BUFFER_BYTES, file);
-        Ok(Appender { store: self.clone(), folder, file, offset: upload.offset, looked: 0 })
+        Ok(Appender { folder, data: Writer::new(self, file, upload.offset) })
     }
 }
 
@@ -184,40 +180,25 @@ fn cut_unverified(folder: &Path) -> io::Result<()> {
 
 /// A piece of an upload on its way to the disk.
 pub struct Appender {
-    store: Store,
     folder: PathBuf,
-    file: BufWriter<tokio::fs::File>,
-    offset: u64,
-    /// Up to here the disk was found to have room.
-    looked: u64,
+    data: Writer,
 }
 
 impl Appender {
     /// An error of kind `StorageFull` where the disk's reserve would be touched.
     pub async fn write(&mut self, chunk: &[u8]) -> io::Result<()> {
-        let end = self.offset + chunk.len() as u64;
-        if end > self.looked {
-            self.looked = self.offset + LOOK_BYTES;
-            if !self.store.has_room(chunk.len() as u64) {
-                return Err(io::ErrorKind::StorageFull.into());
-            }
-        }
-        self.file.write_all(chunk).await?;
-        self.offset = end;
-        Ok(())
+        self.data.write(chunk).await
     }
 
     /// Flushes what came to the disk; returns the offset. A marked piece stays unverified.
-    pub async fn keep(mut self) -> io::Result<u64> {
-        self.file.flush().await?;
-        self.file.get_ref().sync_all().await?;
-        Ok(self.offset)
+    pub async fn keep(self) -> io::Result<u64> {
+        self.data.finish().await
     }
 
     /// Flushes a marked piece that was found right.
     pub async fn verify(self) -> io::Result<u64> {
-        let folder = self.folder.clone();
-        let offset = self.keep().await?;
+        let Appender { folder, data } = self;
+        let offset = data.finish().await?;
         tokio::fs::remove_file(folder.join("unverified")).await?;
         tokio::task::spawn_blocking(move || sync_dir(&folder)).await.map_err(io::Error::other)??;
         Ok(offset)
@@ -225,10 +206,10 @@ impl Appender {
 
     /// Takes a marked piece back.
     pub async fn take_back(self) -> io::Result<()> {
-        let Appender { folder, mut file, .. } = self;
+        let Appender { folder, mut data } = self;
         // What the buffer still writes comes before the cut.
-        let flushed = file.flush().await;
-        drop(file);
+        let flushed = data.flush().await;
+        drop(data);
         tokio::task::spawn_blocking(move || cut_unverified(&folder)).await.map_err(io::Error::other)??;
         flushed
     }

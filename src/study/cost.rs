@@ -10,10 +10,11 @@ use image::RgbImage;
 
 use super::painter::sheet;
 use super::{Context, Report, Study, Table, Verdict};
-use crate::avatar::{AvatarModel, Background, Place, Pose, RenderSpec, Renderer};
+use crate::avatar::{AvatarModel, Place, Pose, RenderSpec, Renderer};
 use crate::bench::Ceilings;
 use crate::camera::Camera;
 use crate::eval::{Novel, NovelPose, Subject};
+use crate::picture::Background;
 use crate::synth::SynthOptions;
 
 pub const STUDY: Study = Study {

@@ -8,6 +8,7 @@ mod context;
 pub mod cost;
 pub mod cube;
 mod document;
+mod made_clip;
 mod objective;
 mod painter;
 mod person;

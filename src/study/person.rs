@@ -1,7 +1,5 @@
 //! A made person with truth, ready to be fitted by the variants of a study.
 
-use std::fs::File;
-use std::io::BufReader;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -10,18 +8,19 @@ use glam::Vec3;
 use image::RgbImage;
 
 use super::Context;
+use super::made_clip::{self, MadeOf};
 use super::painter::on_white;
-use crate::avatar::ply::{self, Mesh};
-use crate::avatar::{AvatarModel, Background, RenderSpec, Renderer, Shading, Tracer, vertex_normals};
+use crate::avatar::ply::Mesh;
+use crate::avatar::{AvatarModel, RenderSpec, Renderer, Shading, Tracer, vertex_normals};
 use crate::body::Body;
 use crate::camera::Camera;
-use crate::capture::{Capture, CaptureInputs, CaptureOptions};
+use crate::capture::Capture;
 use crate::eval::{EvalOptions, Novel, Report, Subject, evaluate};
 use crate::fit::config::{DIRECT_OFFSET_RATE, FrameSampling, Phase, Preconditioner};
 use crate::fit::stage0::{self, Stage0Options};
 use crate::fit::{self, Control, FitConfig, FitState, Flow, Inputs, StepReport};
 use crate::gpu::Gpu;
-use crate::npz::Npz;
+use crate::picture::Background;
 use crate::synth::SynthOptions;
 
 /// A made clip in memory.
@@ -75,16 +74,7 @@ impl Person {
     /// Makes the clip where it is not there yet, and reads it as a job would.
     pub fn new(context: &Context<'_>, options: &SynthOptions) -> Result<Self> {
         let folder = context.clip(options)?;
-        let file = |name: &str| folder.join(name);
-        let inputs = CaptureInputs {
-            video: file("video.mp4"),
-            masks: file("masks.zip"),
-            keypoints: file("keypoints.json"),
-            camera: Some(file("camera.json")),
-            poses: None,
-        };
-        let whole = CaptureOptions { max_frames: options.frames as u32, max_side_px: options.size_px };
-        let capture = Capture::load(&inputs, &whole, &mut |_| true)?;
+        let capture = made_clip::load(&folder)?;
         Ok(Self { gpu: context.gpu.clone(), body: context.load_body()?, capture, folder })
     }
 
@@ -101,16 +91,9 @@ impl Person {
 
     /// Shape, poses and places of the truth.
     pub fn true_start(&self, config: &FitConfig) -> Result<Fitted> {
-        let npz = Npz::open(&self.folder.join("truth/poses.npz"))?;
-        let betas = npz.get("betas")?.f32();
-        let (poses, pelvis) = (npz.get("poses")?.f32(), npz.get("trans")?.f32());
-        let at = self.body.shaped_joints(&betas)[0];
-        let transl: Vec<[f32; 3]> =
-            pelvis.as_chunks::<3>().0.iter().map(|p| std::array::from_fn(|k| p[k] - at[k])).collect();
-        let rest = ply::read(BufReader::new(File::open(self.folder.join("truth/canonical.ply"))?))?;
-        let naked = self.body.shaped_vertices(&betas);
-        let mut state = FitState::new(&self.body, betas, poses.as_chunks().0, &transl, config.field, config.seed);
-        state.offsets = rest.vertices.iter().zip(naked).flat_map(|(r, n)| [0, 1, 2].map(|k| r[k] - n[k])).collect();
+        let MadeOf { betas, offsets, poses, transl } = MadeOf::read(&self.folder, &self.body)?;
+        let mut state = FitState::new(&self.body, betas, &poses, &transl, config.field, config.seed);
+        state.offsets = offsets.into_flattened();
         Ok(Fitted { camera: self.capture.camera.clone(), state })
     }
 

@@ -3,22 +3,22 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Result, ensure};
 use glam::{Quat, Vec3};
 use image::RgbImage;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::made_clip::{self, MadeOf};
 use super::objective::{Border, ImageTerms, Objective, Soft, View};
 use super::painter::{Painter, on_white, sheet};
 use super::{Context, Report, Study, Table, Verdict};
-use crate::avatar::{Pose, ply};
+use crate::avatar::Pose;
 use crate::body::{Body, N_JOINTS, N_POSE};
 use crate::camera::Camera;
-use crate::capture::{Capture, CaptureInputs, CaptureOptions, Frame};
+use crate::capture::{Capture, Frame};
 use crate::gpu::Gpu;
 use crate::mask::is_foreground;
-use crate::npz::Npz;
 use crate::ops::adam::{Adam, AdamConfig};
 use crate::ops::hard_rasterize::{HardRasterizeConfig, HardRasterizer};
 use crate::ops::project::Project;
@@ -105,31 +105,10 @@ struct Placed {
 
 impl Truth {
     fn load(body: Body, clip: &Path) -> Result<Self> {
-        let inputs = CaptureInputs {
-            video: clip.join("video.mp4"),
-            masks: clip.join("masks.zip"),
-            keypoints: clip.join("keypoints.json"),
-            camera: Some(clip.join("camera.json")),
-            poses: None,
-        };
-        let capture =
-            Capture::load(&inputs, &CaptureOptions { max_frames: u32::MAX, max_side_px: u32::MAX }, &mut |_| true)?;
-        let path = clip.join("truth/poses.npz");
-        let npz = Npz::open(&path).with_context(|| path.display().to_string())?;
-        let betas = npz.get("betas")?.f32();
-        let pelvis: Vec<[f32; 3]> = npz.get("trans")?.f32().as_chunks().0.to_vec();
-        let poses: Vec<Pose> = npz.get("poses")?.f32().as_chunks().0.to_vec();
+        let capture = made_clip::load(clip)?;
+        let MadeOf { betas, offsets, poses, transl } = MadeOf::read(clip, &body)?;
         ensure!(poses.len() == capture.frames.len(), "{} poses, {} frames", poses.len(), capture.frames.len());
-        let rest_pelvis = body.shaped_joints(&betas)[0];
-        let placed = poses
-            .into_iter()
-            .zip(pelvis)
-            .map(|(pose, at)| Placed { pose, transl: std::array::from_fn(|k| at[k] - rest_pelvis[k]) });
-        let file = std::fs::File::open(clip.join("truth/canonical.ply"))?;
-        let rest = ply::read(std::io::BufReader::new(file))?.vertices;
-        let shaped = body.shaped_vertices(&betas);
-        let offsets = rest.iter().zip(&shaped).map(|(r, s)| std::array::from_fn(|k| r[k] - s[k])).collect();
-        let placed = placed.collect();
+        let placed = poses.into_iter().zip(transl).map(|(pose, transl)| Placed { pose, transl }).collect();
         Ok(Self { body, betas, offsets, placed, capture })
     }
 

@@ -9,10 +9,10 @@ use std::thread;
 
 use tokio::sync::{oneshot, watch};
 
-use super::control::Control;
 use super::engine::{Engine, FitTask};
 use super::fit_observer::FitObserver;
 use super::pipeline::{Outcome, PipelineError};
+use super::running_fit::RunningFit;
 use crate::gpu::GpuError;
 use crate::jobs::render::{RenderError, RenderRequest};
 
@@ -21,7 +21,7 @@ pub(super) type Answer = Box<dyn FnOnce(Result<(), RenderError>) + Send>;
 /// What the thread is asked for.
 pub(super) enum Task {
     Open(oneshot::Sender<Result<(), GpuError>>),
-    Fit { task: Box<FitTask>, control: Arc<Control>, done: oneshot::Sender<Result<Outcome, PipelineError>> },
+    Fit { task: Box<FitTask>, running: Arc<RunningFit>, done: oneshot::Sender<Result<Outcome, PipelineError>> },
     Draw(Box<Drawing>),
 }
 
@@ -62,10 +62,10 @@ impl DeviceThread {
     }
 
     /// Runs a fit; the receiver gets its end.
-    pub fn fit(&self, task: FitTask, control: Arc<Control>) -> oneshot::Receiver<Result<Outcome, PipelineError>> {
+    pub fn fit(&self, task: FitTask, running: Arc<RunningFit>) -> oneshot::Receiver<Result<Outcome, PipelineError>> {
         let (done, end) = oneshot::channel();
         // A thread that is gone drops the sender, which the receiver sees.
-        let _ = self.tasks.send(Task::Fit { task: Box::new(task), control, done });
+        let _ = self.tasks.send(Task::Fit { task: Box::new(task), running, done });
         end
     }
 
@@ -95,8 +95,8 @@ fn serve(mut engine: impl Engine, inbox: &Receiver<Task>, trouble: &watch::Sende
                 trouble.send_if_modified(|trouble| std::mem::replace(trouble, now.clone()) != now);
                 let _ = done.send(opened);
             }
-            Task::Fit { task, control, done } => {
-                let mut observer = FitObserver::new(control, inbox);
+            Task::Fit { task, running, done } => {
+                let mut observer = FitObserver::new(running, inbox);
                 let run = catch_unwind(AssertUnwindSafe(|| engine.fit(&task, &mut observer)));
                 observer.end_stage();
                 // Nobody may be waiting any more; the end is the same.

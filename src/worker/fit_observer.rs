@@ -7,16 +7,16 @@ use std::time::{Duration, Instant};
 
 use tracing::Span;
 
-use super::control::Control;
 use super::device_thread::{Task, answer_with};
 use super::pipeline::{Observer, PipelineError, Preview, Progress, StopReason};
 use super::renders::CachedRenderers;
+use super::running_fit::RunningFit;
 use crate::gpu::Gpu;
 use crate::jobs::render::{RenderError, RenderRequest};
 
 /// The thread's own view of its running fit.
 pub(super) struct FitObserver<'a> {
-    control: Arc<Control>,
+    running: Arc<RunningFit>,
     inbox: &'a Receiver<Task>,
     renderers: CachedRenderers,
     stage: Option<(&'static str, Instant, Span)>,
@@ -24,37 +24,37 @@ pub(super) struct FitObserver<'a> {
 }
 
 impl<'a> FitObserver<'a> {
-    pub fn new(control: Arc<Control>, inbox: &'a Receiver<Task>) -> Self {
+    pub fn new(running: Arc<RunningFit>, inbox: &'a Receiver<Task>) -> Self {
         let turns = Turns::from(Instant::now());
-        Self { control, inbox, renderers: CachedRenderers::default(), stage: None, turns }
+        Self { running, inbox, renderers: CachedRenderers::default(), stage: None, turns }
     }
 
     /// Counts the time of the stage that ran.
     pub fn end_stage(&mut self) {
         if let Some((stage, since, _span)) = self.stage.take() {
-            self.control.add_stage_secs(stage, since.elapsed().as_secs_f64());
+            self.running.add_stage_secs(stage, since.elapsed().as_secs_f64());
         }
     }
 }
 
 impl Observer for FitObserver<'_> {
     fn progress(&mut self, progress: &Progress) {
-        self.control.mark_alive();
+        self.running.mark_alive();
         let stage = progress.stage.name();
         if self.stage.as_ref().is_none_or(|(current, ..)| *current != stage) {
             self.end_stage();
-            let span = self.control.begin_stage(progress.clone());
+            let span = self.running.begin_stage(progress.clone());
             self.stage = Some((stage, Instant::now(), span));
         }
-        self.control.set_progress(progress.clone());
+        self.running.set_progress(progress.clone());
     }
 
     fn begins_anew(&mut self) {
-        self.control.set_begun_anew();
+        self.running.set_begun_anew();
     }
 
     fn saved(&mut self, progress: f32) {
-        self.control.set_saved(progress);
+        self.running.set_saved(progress);
     }
 
     fn takes_previews(&self) -> bool {
@@ -62,13 +62,13 @@ impl Observer for FitObserver<'_> {
     }
 
     fn preview(&mut self, preview: Preview) {
-        self.control.mark_alive();
-        self.control.set_preview(preview);
+        self.running.mark_alive();
+        self.running.set_preview(preview);
     }
 
     fn stop(&mut self) -> Option<StopReason> {
-        self.control.mark_alive();
-        self.control.stop_reason()
+        self.running.mark_alive();
+        self.running.stop_reason()
     }
 
     /// As long as the fit has had the device, renders may have it, and one of them always: whatever takes long, and however
@@ -76,7 +76,7 @@ impl Observer for FitObserver<'_> {
     fn idle(&mut self, gpu: &Arc<Gpu>) {
         let began = Instant::now();
         let Some(share) = self.turns.share(began) else { return };
-        draw_waiting(self.inbox, &self.control, share, |request, to| self.renderers.draw(gpu, request, to));
+        draw_waiting(self.inbox, &self.running, share, |request, to| self.renderers.draw(gpu, request, to));
         self.turns.end(began, Instant::now());
     }
 }
@@ -113,19 +113,19 @@ impl Turns {
 /// time, and what still waits then is drawn after it.
 fn draw_waiting(
     inbox: &Receiver<Task>,
-    control: &Control,
+    running: &RunningFit,
     share: Duration,
     mut draw: impl FnMut(&RenderRequest, &Path) -> Result<(), RenderError>,
 ) {
     let since = Instant::now();
-    while control.stop_reason().is_none()
+    while running.stop_reason().is_none()
         && let Ok(task) = inbox.try_recv()
     {
         match task {
             Task::Draw(drawing) => {
                 answer_with(*drawing, &mut draw);
                 // Many pictures take long, and none of them is the fit's fault.
-                control.mark_alive();
+                running.mark_alive();
             }
             // The claim loop gives one job at a time, and asks for the device before.
             Task::Open(done) => {
@@ -181,12 +181,12 @@ mod tests {
     #[test]
     fn clients_that_always_want_pictures_do_not_keep_the_fit_from_the_device() {
         let clients = Clients::new();
-        let control = Control::default();
+        let running = RunningFit::default();
         clients.ask(0);
         for steps in 1..=20 {
             let mut asked = 0;
             // The next one comes while one is drawn; a fit that waits for all of them waits for a hundred.
-            draw_waiting(&clients.inbox, &control, Duration::ZERO, |_, _| {
+            draw_waiting(&clients.inbox, &running, Duration::ZERO, |_, _| {
                 asked += 1;
                 if asked < 100 {
                     clients.ask(steps);
@@ -215,20 +215,20 @@ mod tests {
     fn a_share_is_used_for_all_that_waits() {
         let clients = Clients::new();
         (0..5).for_each(|number| clients.ask(number));
-        draw_waiting(&clients.inbox, &Control::default(), Duration::MAX, |_, _| Ok(()));
+        draw_waiting(&clients.inbox, &RunningFit::default(), Duration::MAX, |_, _| Ok(()));
         assert_eq!(clients.drawn(), [0, 1, 2, 3, 4]);
     }
 
     #[test]
     fn a_fit_that_is_to_stop_does_not_wait_for_pictures() {
         let clients = Clients::new();
-        let control = Control::default();
+        let running = RunningFit::default();
         (0..3).for_each(|number| clients.ask(number));
-        draw_waiting(&clients.inbox, &control, Duration::MAX, |_, _| {
-            control.stop(StopReason::Shutdown);
+        draw_waiting(&clients.inbox, &running, Duration::MAX, |_, _| {
+            running.stop(StopReason::Shutdown);
             Ok(())
         });
-        draw_waiting(&clients.inbox, &control, Duration::MAX, |_, _| Ok(()));
+        draw_waiting(&clients.inbox, &running, Duration::MAX, |_, _| Ok(()));
         assert_eq!(clients.drawn(), [0], "the others are the thread's, after the fit");
         assert_eq!(clients.inbox.try_iter().count(), 2);
     }

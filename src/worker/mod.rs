@@ -13,7 +13,6 @@
 
 pub mod channel;
 mod claims;
-mod control;
 mod device_thread;
 mod ending;
 mod engine;
@@ -23,6 +22,7 @@ pub mod pipeline;
 mod reaper;
 mod renders;
 mod runner;
+mod running_fit;
 mod supervisor;
 #[cfg(test)]
 mod tests;

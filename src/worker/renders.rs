@@ -10,7 +10,7 @@ use glam::Vec3;
 use crate::atomic_file;
 use crate::avatar::{self, AvatarModel, Place, Pose, RenderSpec, Renderer, ply};
 use crate::gpu::Gpu;
-use crate::jobs::render::{self, Background, ImageRequest, Light, PoseSource, RenderError, RenderRequest, What};
+use crate::jobs::render::{self, ImageRequest, PoseSource, RenderError, RenderRequest, What};
 
 /// Models that stay on the device: clients tend to ask for many pictures of one avatar.
 const KEPT: usize = 2;
@@ -106,14 +106,8 @@ impl Loaded {
             place,
             betas: request.betas.clone(),
             camera: request.camera.clone(),
-            background: match request.background {
-                Background::Transparent => avatar::Background::Transparent,
-                Background::Colour(rgb) => avatar::Background::Colour(rgb),
-            },
-            light: match request.light {
-                Light::Captured => avatar::Light::Captured,
-                Light::None => avatar::Light::None,
-            },
+            background: request.background,
+            light: request.light,
             samples: SAMPLES,
             shading: None,
         })

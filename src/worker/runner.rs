@@ -10,10 +10,10 @@ use tokio::time::{MissedTickBehavior, interval};
 use tracing::Instrument;
 
 use super::claims::Hung;
-use super::control::Control;
 use super::device_thread::DeviceThread;
 use super::engine::FitTask;
 use super::pipeline::{Outcome, PipelineError, PipelineInput, Preview, Progress, StopReason};
+use super::running_fit::RunningFit;
 use crate::capture::CaptureInputs;
 use crate::jobs::{Job, JobError, Lease, ProgressReport, Queue, Repeat, Standing};
 use crate::storage::Store;
@@ -48,16 +48,16 @@ impl Runner {
     async fn run_attempt(&self, lease: &Lease, job: &Job) -> Result<(), Hung> {
         let started = Instant::now();
         tracing::info!(job = %lease.job, epoch = lease.epoch, attempt = job.attempt, "the fit begins");
-        let control = Arc::new(Control::default());
+        let running = Arc::new(RunningFit::default());
         let end = match self.task(lease, job).await {
             Ok(task) => {
-                let end = self.accompany(lease, task, &control).await;
-                self.pass_begun(lease, &control).await;
-                self.pass_preview(lease, &control).await;
-                self.pass_stage_secs(lease, &control).await;
+                let end = self.accompany(lease, task, &running).await;
+                self.pass_begun(lease, &running).await;
+                self.pass_preview(lease, &running).await;
+                self.pass_stage_secs(lease, &running).await;
                 match end {
                     Some(end) => end,
-                    None => return Err(self.give_up(lease, &control).await),
+                    None => return Err(self.give_up(lease, &running).await),
                 }
             }
             Err(error) => Err(PipelineError::Internal(error.into())),
@@ -71,10 +71,10 @@ impl Runner {
     }
 
     /// Ends the attempt of a fit that hangs.
-    async fn give_up(&self, lease: &Lease, control: &Control) -> Hung {
-        let secs = control.silence().as_secs();
+    async fn give_up(&self, lease: &Lease, running: &RunningFit) -> Hung {
+        let secs = running.silence().as_secs();
         tracing::error!(job = %lease.job, secs, "the fit hangs");
-        let stage = control.progress().borrow().as_ref().map_or("first", |progress| progress.stage.name());
+        let stage = running.progress().borrow().as_ref().map_or("first", |progress| progress.stage.name());
         let error = JobError::new("stalled", format!("no step for {secs} s in the {stage} stage"));
         // Where this cannot be written, the reaper finds the process dead.
         if let Err(error) = self.queue.fail(lease, error, Repeat::Killed).await {
@@ -85,16 +85,9 @@ impl Runner {
 
     async fn task(&self, lease: &Lease, job: &Job) -> std::io::Result<FitTask> {
         let inputs = self.store.inputs(lease.job);
-        let part = |name: &str| job.inputs.contains_key(name).then(|| inputs.join(name));
         let task = FitTask {
             input: PipelineInput {
-                files: CaptureInputs {
-                    video: inputs.join("video"),
-                    masks: inputs.join("masks"),
-                    keypoints: inputs.join("keypoints"),
-                    camera: part("camera"),
-                    poses: part("poses"),
-                },
+                files: CaptureInputs::in_folder(&inputs, |part| job.inputs.contains_key(part)),
                 options: job.options.clone(),
             },
             data_dir: self.store.root().into(),
@@ -111,10 +104,10 @@ impl Runner {
         &self,
         lease: &Lease,
         task: FitTask,
-        control: &Arc<Control>,
+        running: &Arc<RunningFit>,
     ) -> Option<Result<Outcome, PipelineError>> {
-        let mut end = self.device.fit(task, control.clone());
-        let mut progress = control.progress();
+        let mut end = self.device.fit(task, running.clone());
+        let mut progress = running.progress();
         let mut shutdown = self.shutdown.clone();
         let mut looks = interval(LOOK);
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -129,15 +122,15 @@ impl Runner {
                 }
                 _ = looks.tick() => {}
             }
-            if control.silence() > self.stall {
+            if running.silence() > self.stall {
                 return None;
             }
             if *shutdown.borrow_and_update() {
-                control.stop(StopReason::Shutdown);
+                running.stop(StopReason::Shutdown);
             }
-            self.pass_begun(lease, control).await;
-            self.pass_saved(lease, control).await;
-            self.pass_preview(lease, control).await;
+            self.pass_begun(lease, running).await;
+            self.pass_saved(lease, running).await;
+            self.pass_preview(lease, running).await;
             let news = if reported.elapsed() >= REPORT && progress.has_changed().unwrap_or(false) {
                 progress.borrow_and_update().clone()
             } else {
@@ -146,7 +139,7 @@ impl Runner {
             let standing = if let Some(news) = news {
                 reported = Instant::now();
                 renewed = reported;
-                self.pass_stage_secs(lease, control).await;
+                self.pass_stage_secs(lease, running).await;
                 self.queue.report(lease, &report(&news)).await
             } else if renewed.elapsed() >= HEARTBEAT {
                 renewed = Instant::now();
@@ -157,14 +150,14 @@ impl Runner {
             match standing {
                 Ok(Standing::Held) => {}
                 Ok(Standing::Canceling) => {
-                    control.stop(StopReason::Cancel);
+                    running.stop(StopReason::Cancel);
                     if cancel_since.get_or_insert_with(Instant::now).elapsed() > CANCEL_GRACE
                         && let Err(error) = self.queue.confirm_cancel(lease).await
                     {
                         tracing::warn!(job = %lease.job, %error, "the job cannot be canceled yet");
                     }
                 }
-                Ok(Standing::Lost) => control.stop(StopReason::LostLease),
+                Ok(Standing::Lost) => running.stop(StopReason::LostLease),
                 // The fit goes on: the epoch guards the end should the lease run out meanwhile.
                 Err(error) => tracing::warn!(job = %lease.job, %error, "the queue cannot be reached"),
             }
@@ -172,22 +165,22 @@ impl Runner {
     }
 
     /// Short stages would else go unseen between two reports.
-    async fn pass_begun(&self, lease: &Lease, control: &Control) {
-        for begun in control.take_begun() {
+    async fn pass_begun(&self, lease: &Lease, running: &RunningFit) {
+        for begun in running.take_begun() {
             if let Err(error) = self.queue.report(lease, &report(&begun)).await {
                 tracing::warn!(job = %lease.job, %error, "the beginning of a stage goes untold");
             }
         }
     }
 
-    async fn pass_saved(&self, lease: &Lease, control: &Control) {
-        if control.take_begun_anew() {
+    async fn pass_saved(&self, lease: &Lease, running: &RunningFit) {
+        if running.take_begun_anew() {
             tracing::info!(job = %lease.job, "the fit begins anew: its checkpoint is of another program, body or clip");
             if let Err(error) = self.queue.begun_anew(lease).await {
                 tracing::warn!(job = %lease.job, %error, "a beginning goes untold");
             }
         }
-        if let Some(progress) = control.take_saved()
+        if let Some(progress) = running.take_saved()
             && let Err(error) = self.queue.saved(lease, f64::from(progress)).await
         {
             tracing::warn!(job = %lease.job, %error, "a checkpoint goes untold");
@@ -195,8 +188,8 @@ impl Runner {
     }
 
     /// The file first, then the row that names it: what the row names is there.
-    async fn pass_preview(&self, lease: &Lease, control: &Control) {
-        let Some((nth, Preview { jpeg, at })) = control.take_preview() else { return };
+    async fn pass_preview(&self, lease: &Lease, running: &RunningFit) {
+        let Some((nth, Preview { jpeg, at })) = running.take_preview() else { return };
         let name = Store::preview_name(lease.epoch, nth);
         let (store, job, file) = (self.store.clone(), lease.job, name.clone());
         let written = tokio::task::spawn_blocking(move || store.put_preview(job, &file, &jpeg)).await;
@@ -216,8 +209,8 @@ impl Runner {
         }
     }
 
-    async fn pass_stage_secs(&self, lease: &Lease, control: &Control) {
-        for (stage, secs) in control.take_stage_secs() {
+    async fn pass_stage_secs(&self, lease: &Lease, running: &RunningFit) {
+        for (stage, secs) in running.take_stage_secs() {
             if let Err(error) = self.queue.add_stage_time(lease, stage, secs).await {
                 tracing::warn!(job = %lease.job, %error, "the time of a stage is lost");
             }

@@ -42,6 +42,7 @@ const ROOT_LEAVES: &[&str] = &[
     "mask",
     "math",
     "novel",
+    "picture",
     "video_writer",
 ];
 

@@ -9,7 +9,7 @@ use std::sync::{Arc, OnceLock};
 use image::{GrayImage, RgbaImage};
 
 use self::lit::LitBody;
-pub use self::spec::{Background, Light, Place, RenderSpec};
+pub use self::spec::{Place, RenderSpec};
 use super::AvatarModel;
 use super::texture::SurfaceTexture;
 use super::trace::{Picture, Shading, SurfacePoint, Tracer};
@@ -18,6 +18,7 @@ use crate::camera::Camera;
 use crate::gpu::{Gpu, GpuError};
 use crate::ops::skinning::cpu::{Posed, forward};
 use crate::ops::texture_field::TextureFieldError;
+use crate::picture::{Background, Light};
 
 /// Why a picture could not be made.
 #[derive(Debug, thiserror::Error)]

@@ -6,6 +6,7 @@ use crate::avatar::pose::Pose;
 use crate::avatar::trace::{MAX_SIDE_PX, Shading};
 use crate::body::Body;
 use crate::camera::Camera;
+use crate::picture::{Background, Light};
 
 /// Where the person stands, world space, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,25 +28,6 @@ impl Place {
             }
         }
     }
-}
-
-/// What lies behind the person.
-#[derive(Clone, Copy, Debug, PartialEq, Default)]
-pub enum Background {
-    #[default]
-    Transparent,
-    /// sRGB
-    Colour([u8; 3]),
-}
-
-/// The light of a picture: the one that the clip was filmed in, which stands still in the world, or none, which shows the
-/// albedo.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Light {
-    #[default]
-    Captured,
-    None,
 }
 
 /// A picture to render.

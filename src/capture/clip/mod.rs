@@ -3,7 +3,7 @@
 mod load;
 mod walk;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use self::walk::SmallParts;
@@ -24,6 +24,20 @@ pub struct CaptureInputs {
     pub camera: Option<PathBuf>,
     /// npz of known poses, one a frame of the video.
     pub poses: Option<PathBuf>,
+}
+
+impl CaptureInputs {
+    /// Files of `folder` that are called as their parts are; of those that may be missing, the ones that `came`.
+    pub fn in_folder(folder: &Path, came: impl Fn(&str) -> bool) -> Self {
+        let optional = |part: &str| came(part).then(|| folder.join(part));
+        Self {
+            video: folder.join("video"),
+            masks: folder.join("masks"),
+            keypoints: folder.join("keypoints"),
+            camera: optional("camera"),
+            poses: optional("poses"),
+        }
+    }
 }
 
 /// How much of a clip a fit takes.

@@ -11,6 +11,7 @@ use uuid::Uuid;
 
 use super::form::{Form, FormPart};
 use crate::capture::{CaptureInputs, MOST_BYTES};
+use crate::fingerprint::hex;
 use crate::http::access::Caller;
 use crate::http::app::{App, Limits};
 use crate::http::error::ApiError;
@@ -106,14 +107,7 @@ impl Received {
     }
 
     pub fn files(&self) -> CaptureInputs {
-        let optional = |part: &str| self.inputs.contains_key(part).then(|| self.upload.path(part));
-        CaptureInputs {
-            video: self.upload.path("video"),
-            masks: self.upload.path("masks"),
-            keypoints: self.upload.path("keypoints"),
-            camera: optional("camera"),
-            poses: optional("poses"),
-        }
+        CaptureInputs::in_folder(self.upload.folder(), |part| self.inputs.contains_key(part))
     }
 }
 
@@ -339,10 +333,6 @@ async fn read_small(mut part: FormPart<'_>, name: &str, budget: &mut Budget) -> 
         content.extend_from_slice(&chunk);
     }
     Ok(content)
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn wrong_part(detail: String, part: &str) -> ApiError {

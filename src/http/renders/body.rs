@@ -7,8 +7,9 @@ use crate::camera::{self, Camera, is_rotation};
 use crate::http::avatars::check_frame;
 use crate::http::error::ApiError;
 use crate::jobs::Avatar;
-use crate::jobs::render::{Background, ImageRequest, Light, Place, PoseSource, hex_colour};
+use crate::jobs::render::{ImageRequest, Place, PoseSource};
 use crate::json;
+use crate::picture::{Background, Light};
 
 const POSE_VALUES: usize = 72;
 /// No importer keeps more of a body.
@@ -154,12 +155,7 @@ impl RenderBody {
 }
 
 fn background(text: &str) -> Result<Background, ApiError> {
-    if text == "transparent" {
-        return Ok(Background::Transparent);
-    }
-    let colour = hex_colour(text)
-        .ok_or_else(|| wrong("background", format!("background is {text:?}"), "transparent or #rrggbb"))?;
-    Ok(Background::Colour(colour))
+    text.parse().map_err(|_| wrong("background", format!("background is {text:?}"), Background::EXPECTED))
 }
 
 fn camera(json: Value) -> Result<Camera, ApiError> {

@@ -3,8 +3,9 @@ use serde_json::{Value, json};
 use super::body::RenderBody;
 use crate::camera::Camera;
 use crate::http::error::ApiError;
-use crate::jobs::render::{Background, ImageRequest, Light, Place, PoseSource};
+use crate::jobs::render::{ImageRequest, Place, PoseSource};
 use crate::jobs::{Avatar, Clip, Timestamp};
+use crate::picture::{Background, Light};
 
 fn avatar() -> Avatar {
     let camera = json!({ "width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 32.0, "cy": 24.0 });

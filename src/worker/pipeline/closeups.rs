@@ -4,12 +4,13 @@ use image::imageops::FilterType;
 use image::{Rgb, RgbImage};
 
 use super::PipelineError;
-use crate::avatar::{AvatarModel, Background, Posed, RenderSpec, Renderer, view_space};
+use crate::avatar::{AvatarModel, Posed, RenderSpec, Renderer, view_space};
 use crate::body::joints::{HEAD, LEFT_HAND, LEFT_WRIST, RIGHT_HAND, RIGHT_WRIST, SPINE2, SPINE3};
 use crate::camera::Camera;
 use crate::capture::Frame;
 use crate::fit::detail::square_around;
 use crate::page::{inline_jpeg, over, strip};
+use crate::picture::Background;
 
 /// Side of a picture.
 const SIDE_PX: u32 = 240;

@@ -12,13 +12,14 @@ use super::curves::Point;
 use super::quality::Quality;
 use super::score::{FrameScore, spec_of};
 use super::{PipelineError, Stage};
-use crate::avatar::{Background, Place, Pose, RenderError, RenderSpec, Renderer};
+use crate::avatar::{Place, Pose, RenderError, RenderSpec, Renderer};
 use crate::body::N_POSE;
 use crate::body::joints::{LEFT_SHOULDER, RIGHT_SHOULDER};
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::mask::is_foreground;
 use crate::page::{Curve, Page, chart, heat_map, inline_jpeg, over, shrunk, strip};
+use crate::picture::Background;
 
 /// Frames shown for being the worst, and frames spread over the clip.
 const WORST: usize = 3;

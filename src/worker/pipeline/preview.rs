@@ -7,12 +7,13 @@ use image::DynamicImage;
 use image::codecs::jpeg::JpegEncoder;
 
 use super::score::crop;
-use crate::avatar::{AvatarModel, Background, RenderSpec, Renderer};
+use crate::avatar::{AvatarModel, RenderSpec, Renderer};
 use crate::body::Body;
 use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::fit::{FitConfig, FitState, Stage};
 use crate::gpu::Gpu;
+use crate::picture::Background;
 
 /// The longer side of a picture.
 const SIDE_PX: u32 = 320;

