@@ -14,7 +14,7 @@ use effigy::storage::{Copied, How, Published, Store};
 use serde::{Deserialize, Serialize};
 use uuid::Uuid;
 
-use super::service::open_store;
+use super::service::{open_store, tell_of_owner};
 use super::settings::CommonFlags;
 
 #[derive(clap::Args)]
@@ -48,8 +48,10 @@ const MANIFEST: &str = "backup.json";
 #[tokio::main(flavor = "current_thread")]
 pub async fn run(args: BackupArgs) -> Result<()> {
     let in_force = args.settings.resolve()?;
-    let live = open_store(&in_force.config.data_dir())?;
-    ensure!(live.database().exists(), "there is no database in {}", live.root().display());
+    let data = in_force.config.data_dir();
+    // Before it is opened, which would make it.
+    ensure!(data.join("effigy.db").exists(), "there is no database in {}", data.display());
+    let live = open_store(&data)?;
     let empty = !args.folder.exists() || args.folder.read_dir()?.next().is_none();
     ensure!(empty, "{} is not empty: each backup has a folder of its own", args.folder.display());
     let copy = open_store(&args.folder)?;
@@ -134,19 +136,7 @@ pub async fn restore(args: RestoreArgs) -> Result<()> {
         to.root().display(),
         manifest.made_at
     );
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        let (folder, written) = (std::fs::metadata(to.root())?.uid(), std::fs::metadata(to.database())?.uid());
-        if folder != written {
-            eprintln!(
-                "What was restored belongs to the user {written}, the data folder to {folder}: a service that runs as the latter \
-                 cannot write it before `chown -R {folder} {}`.",
-                to.root().display()
-            );
-        }
-    }
-    Ok(())
+    tell_of_owner(&to)
 }
 
 /// Whether a backup has all files of a job, the results as they were published.

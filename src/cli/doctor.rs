@@ -15,7 +15,7 @@ use effigy::jobs::{Env, QueueError};
 use effigy::storage::Store;
 use serde::Serialize;
 
-use super::service::{self, KeysFound, open_queue, policy};
+use super::service::{self, KeysFound, OWN, open_queue, policy};
 use super::settings::ServerFlags;
 
 #[derive(clap::Args)]
@@ -218,8 +218,6 @@ fn body(data: &Path) -> Check {
         Err(error) => Check::failed("body", format!("{}: {error}", path.display()), mend),
     }
 }
-
-const OWN: &str = "give it and its folder to the user who runs the service (chown)";
 
 /// The database, and whether a server would start on it.
 async fn database(data: &Path, config: &Config) -> Vec<Check> {

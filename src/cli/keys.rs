@@ -9,7 +9,7 @@ use effigy::config::{Bytes, Value};
 use effigy::jobs::keys::{Key, Keys, NewKey, Quota, Scope, Token};
 use effigy::jobs::{Env, Timestamp};
 
-use super::service::{open_queue, open_store, policy};
+use super::service::{open_queue, open_store, policy, tell_of_owner};
 use super::settings::CommonFlags;
 
 #[derive(clap::Args)]
@@ -101,6 +101,7 @@ async fn open(settings: &CommonFlags) -> Result<impl Keys> {
     let in_force = settings.resolve()?;
     let store = open_store(&in_force.config.data_dir())?;
     let queue = open_queue(&store, &Env::system(), policy(&in_force.config)).await?;
+    tell_of_owner(&store)?;
     std::sync::Arc::into_inner(queue).context("the queue is ours alone")
 }
 

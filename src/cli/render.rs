@@ -112,6 +112,9 @@ fn shots(args: &Args, model: &AvatarModel) -> Result<Vec<Shot>> {
     }
     let Some(frame) = args.frame else { bail!("say what to render: --poses, --frame or --turntable") };
     let k = model.nearest_frame(frame);
+    if model.frames[k] != frame {
+        eprintln!("frame {frame} is none of those that were fitted; the nearest is {}", model.frames[k]);
+    }
     Ok(vec![(format!("frame_{:04}", model.frames[k]), model.poses[k], Place::Transl(model.transl[k]))])
 }
 

@@ -56,6 +56,9 @@ async fn serve(in_force: InForce) -> Result<()> {
     };
     let supervision = supervisor.clone().map(|supervisor| tokio::spawn(supervisor.run()));
 
+    if store.body_names()?.is_empty() {
+        tracing::warn!("there is no body, so every job is refused: import one (effigy doctor tells how)");
+    }
     let access = access(config, &queue).await?;
     let asked = asked_to_end();
     let listener = tokio::net::TcpListener::bind(config.listen).await;

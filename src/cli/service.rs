@@ -114,7 +114,31 @@ pub async fn open_queue(store: &Store, env: &Env, policy: Policy) -> Result<Arc<
         );
     }
     let queue = SqliteQueue::open(&path, env.clone(), policy).await;
-    Ok(Arc::new(queue.with_context(|| path.display().to_string())?))
+    let queue = queue.map_err(|error| {
+        let mend = if error.is_refused() { format!(" ({OWN})") } else { String::new() };
+        anyhow::Error::new(error).context(format!("{}{mend}", path.display()))
+    });
+    Ok(Arc::new(queue?))
+}
+
+/// What helps against files of another user.
+pub const OWN: &str = "give it and its folder to the user who runs the service: chown -R";
+
+/// Says on standard error where what a command has written is not the user's who has the data folder.
+pub fn tell_of_owner(store: &Store) -> Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let (folder, written) = (std::fs::metadata(store.root())?.uid(), std::fs::metadata(store.database())?.uid());
+        if folder != written {
+            let root = store.root().display();
+            eprintln!(
+                "The database belongs to the user {written}, the data folder to {folder}: a service that runs as the latter \
+                 cannot write it before `chown -R {folder} {root}`."
+            );
+        }
+    }
+    Ok(())
 }
 
 /// Hears from now on whether the user or the system asks the process to end; done when one of them does.

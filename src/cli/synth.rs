@@ -13,7 +13,7 @@ pub struct Args {
     /// A body's name in the data folder, its file, or `test` for the small built-in one.
     #[arg(long, default_value = "default")]
     body: String,
-    /// Folder for the clip.
+    /// Folder for the clip; one that another clip was made in is made anew.
     #[arg(long)]
     out: PathBuf,
     #[arg(long, default_value_t = SynthOptions::default().frames)]
@@ -86,7 +86,8 @@ fn body(name: &str) -> Result<Body> {
         return Ok(Body::test_body());
     }
     let path = if Path::new(name).is_file() { PathBuf::from(name) } else { body_path(name) };
-    Body::load(&path).with_context(|| format!("{}: import a body first (`effigy body import`)", path.display()))
+    Body::load(&path)
+        .with_context(|| format!("{}: import a body first (`make body`, or `effigy body import FILE`)", path.display()))
 }
 
 pub fn run(args: Args) -> Result<()> {

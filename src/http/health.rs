@@ -18,13 +18,19 @@ pub(super) async fn healthz() -> &'static str {
 
 /// Can the service do its work?
 ///
-/// Asks the database and looks whether the worker is there and has a device; a load balancer sends requests while this is 200.
+/// Asks the database, and looks whether there is a body, and whether the worker is there and has a device; a load balancer sends
+/// requests while this is 200.
 #[utoipa::path(get, path = "/readyz", tag = "service", responses(
     (status = 200, description = "It can", body = String, content_type = "text/plain"),
     (status = 503, description = "It cannot, and why", body = Problem, content_type = "application/problem+json"),
 ))]
 pub(super) async fn readyz(State(app): State<App>) -> Result<&'static str, ApiError> {
     app.queue.counts().await.map_err(|error| ApiError::Busy(error.to_string()))?;
+    let bodies =
+        app.store.body_names().map_err(|error| ApiError::Busy(format!("the bodies cannot be read: {error}")))?;
+    if bodies.is_empty() {
+        return Err(ApiError::Busy("there is no body: import one (effigy body import)".into()));
+    }
     match app.renderer.trouble() {
         None => Ok("ready\n"),
         Some(trouble) => Err(ApiError::Busy(trouble)),

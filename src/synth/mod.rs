@@ -83,6 +83,8 @@ impl Default for SynthOptions {
 pub enum SynthError {
     #[error("{0}")]
     Options(String),
+    #[error("{} has files that `effigy synth` did not make: give another folder", folder.display())]
+    Occupied { folder: PathBuf },
     #[error("{}: {source}; import a body first (`make body`)", path.display())]
     Body { path: PathBuf, source: BodyError },
     #[error(transparent)]
@@ -173,7 +175,7 @@ pub fn synthesise(
     let centre = centre.as_vec3().to_array();
     let tracer = Tracer::new(gpu, &body.faces, &body.v_template);
     let scene = Scene { body, betas: &betas, dress: &dress, paint, tracer, camera, centre };
-    let mut out = FolderWriter::create(folder, options)?;
+    let mut out = FolderWriter::create(folder, body, options)?;
     out.canonical(body, &dress.rest)?;
 
     let (poses, sways) = turn(options.frames, filming, &mut rng);
@@ -200,7 +202,7 @@ pub fn synthesise(
         let entry = NovelEntry::of_pose(name, &pose, scene.centre, &scene.camera);
         out.novel_pose(entry, &over_backdrop(&picture, &scene.camera), &picture.coverage())?;
     }
-    out.finish(body, &betas, &scene.camera, options)
+    out.finish(body, &betas, &scene.camera)
 }
 
 fn check(options: &SynthOptions) -> Result<(), SynthError> {

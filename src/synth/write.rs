@@ -29,17 +29,14 @@ pub(super) struct FolderWriter {
 }
 
 impl FolderWriter {
-    pub fn create(folder: &Path, options: &SynthOptions) -> Result<Self, SynthError> {
+    /// A clip of this body. What an earlier call made in the folder goes.
+    pub fn create(folder: &Path, body: &Body, options: &SynthOptions) -> Result<Self, SynthError> {
+        clear(folder)?;
         std::fs::create_dir_all(folder.join("truth"))?;
-        // Of another clip, which had more of them: they would count as this one's truth.
-        for entry in std::fs::read_dir(folder.join("truth"))? {
-            let entry = entry?;
-            let name = entry.file_name();
-            if name.to_str().is_some_and(|name| name.starts_with("frame_") && name.ends_with(".ply")) {
-                std::fs::remove_file(entry.path())?;
-            }
-        }
         std::fs::create_dir_all(folder.join("novel"))?;
+        // First of all, so that a clip that was interrupted can be made anew.
+        let about = json!({ "made_by": MADE_BY, "body": body.name, "options": options });
+        std::fs::write(folder.join(ABOUT), about.to_string())?;
         let size = options.filming.size(options.size_px);
         Ok(Self {
             video: VideoWriter::create(&folder.join("video.mp4"), size, options.fps, Quality::Fine)?,
@@ -134,13 +131,7 @@ impl FolderWriter {
     }
 
     /// Everything that is known only at the end.
-    pub fn finish(
-        mut self,
-        body: &Body,
-        betas: &[f32],
-        camera: &Camera,
-        options: &SynthOptions,
-    ) -> Result<(), SynthError> {
+    pub fn finish(mut self, body: &Body, betas: &[f32], camera: &Camera) -> Result<(), SynthError> {
         let keypoints = std::mem::take(&mut self.keypoints);
         self.json("keypoints.json", &json!({ "format": "coco17", "frames": keypoints }))?;
         self.json(
@@ -152,7 +143,6 @@ impl FolderWriter {
         )?;
         self.json("truth/joints3d.json", &json!({ "names": JOINT_NAMES, "frames": self.joints }))?;
         self.json("novel/novel.json", &json!(self.novel))?;
-        self.json("subject.json", &json!({ "made_by": "effigy synth", "body": body.name, "options": options }))?;
         let pelvis = |joints: &Vec<[f32; 3]>| joints[0];
         let trans: Vec<[f32; 3]> = self.joints.iter().map(pelvis).collect();
         self.poses("truth/poses.npz", &self.poses, &trans, Some((body, betas)))?;
@@ -184,7 +174,55 @@ impl FolderWriter {
     }
 }
 
+/// Says who made a clip.
+const ABOUT: &str = "subject.json";
+const MADE_BY: &str = "effigy synth";
+
+/// Takes the truth of an earlier made clip away: it may have had more frames and pictures, which would count as the new one's.
+/// Files of anybody else's stay, and no clip is made among them.
+fn clear(folder: &Path) -> Result<(), SynthError> {
+    if !folder.is_dir() || std::fs::read_dir(folder)?.next().is_none() {
+        return Ok(());
+    }
+    let about = std::fs::read(folder.join(ABOUT)).ok();
+    let about: Option<serde_json::Value> = about.and_then(|text| serde_json::from_slice(&text).ok());
+    if about.is_none_or(|about| about["made_by"] != MADE_BY) {
+        return Err(SynthError::Occupied { folder: folder.to_owned() });
+    }
+    for part in ["truth", "novel"] {
+        let part = folder.join(part);
+        if part.is_dir() {
+            std::fs::remove_dir_all(part)?;
+        }
+    }
+    Ok(())
+}
+
 /// 255 where at least half of the pixel is covered.
 fn binary(coverage: &GrayImage) -> GrayImage {
     GrayImage::from_fn(coverage.width(), coverage.height(), |x, y| Luma([mask::binary(coverage.get_pixel(x, y).0[0])]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clip_takes_the_place_of_a_made_one_and_of_no_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let clip = folder.path().join("clip");
+        let create = || FolderWriter::create(&clip, &Body::test_body(), &SynthOptions::default()).map(drop);
+        create().unwrap();
+        // As it stands when it is interrupted, with pictures of a longer list.
+        let old = clip.join("novel/view_09.png");
+        std::fs::write(&old, "").unwrap();
+        create().unwrap();
+        assert!(!old.exists() && clip.join("truth").is_dir());
+        std::fs::write(clip.join(ABOUT), r#"{ "made_by": "a camera" }"#).unwrap();
+        assert!(matches!(create(), Err(SynthError::Occupied { .. })));
+        std::fs::remove_file(clip.join(ABOUT)).unwrap();
+        std::fs::write(clip.join("video.mp4"), "a person").unwrap();
+        assert!(matches!(create(), Err(SynthError::Occupied { .. })));
+        assert_eq!(std::fs::read(clip.join("video.mp4")).unwrap(), b"a person");
+    }
 }

@@ -64,7 +64,17 @@ fn a_folder_that_lacks_a_part_says_which() {
     let output = effigy(&["fit", text(folder.path()), "--out", text(&folder.path().join("avatar"))]);
     assert!(!output.status.success());
     let error = String::from_utf8(output.stderr).unwrap();
-    assert!(error.contains("masks: give a clip's folder, or --masks FILE"), "{error}");
+    assert!(error.contains("there is no masks.* in") && error.contains("it has video.mp4"), "{error}");
+    let lone = folder.path().join("video.mp4");
+    let output = effigy(&["fit", text(&lone), "--out", text(&folder.path().join("avatar"))]);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && error.contains("detect.py"), "{error}");
+    for name in ["masks.zip", "masks.mp4", "keypoints.json"] {
+        std::fs::write(folder.path().join(name), "").unwrap();
+    }
+    let output = effigy(&["fit", text(folder.path()), "--out", text(&folder.path().join("avatar"))]);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(!output.status.success() && error.contains("say which with --masks"), "{error}");
     assert!(!folder.path().join("avatar").exists(), "nothing is begun");
 }
 

@@ -47,6 +47,9 @@ def main():
     arguments.add_argument("video", type=Path)
     arguments.add_argument("clip", type=Path, help="the folder to write")
     arguments = arguments.parse_args()
+    copy = arguments.clip / f"video{arguments.video.suffix.lower()}"
+    if copy.exists() and copy.samefile(arguments.video):
+        raise SystemExit(f"{arguments.clip} has the video itself: name another folder")
     arguments.clip.mkdir(parents=True, exist_ok=True)
 
     points, nobody = [], 0
@@ -59,7 +62,7 @@ def main():
             nobody += not found
     keypoints = {"format": "mediapipe33", "frames": points}
     (arguments.clip / "keypoints.json").write_text(json.dumps(keypoints))
-    shutil.copyfile(arguments.video, arguments.clip / f"video{arguments.video.suffix.lower()}")
+    shutil.copyfile(arguments.video, copy)
     print(f"{len(points)} frames in {arguments.clip}, {nobody} of them without anybody")
 
 

@@ -60,6 +60,8 @@ impl SqliteQueue {
             .busy_timeout(BUSY_TIMEOUT);
         let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
         sqlx::migrate!("./migrations").run(&writer).await?;
+        // What this user may only read, SQLite opens all the same.
+        writer.begin_with("BEGIN IMMEDIATE").await?.rollback().await?;
         let readers = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
         Ok(SqliteQueue { writer, readers, env, policy, clock: Mutex::default() })
     }

@@ -184,7 +184,8 @@ fn flags(page: &mut Page, quality: &Quality<'_>) {
         page.paragraph("Nothing about this clip was odd.");
     }
     for flag in &quality.flags {
-        let mut more = format!("{}: {:.3} {}", flag.code, flag.value, flag.unit);
+        let value = if flag.value.fract() == 0.0 { flag.value.to_string() } else { rounded(flag.value) };
+        let mut more = format!("{}: {value} {}", flag.code, flag.unit);
         if !flag.frames.is_empty() {
             more += &format!("; frames {}", ranges(&flag.frames));
         }

@@ -37,10 +37,11 @@ pub fn run(
     let mut config = config_of(&input.options);
     monitor.start(Stage::Decode)?;
     let body_file = body_path_in(data_dir, &input.options.body);
+    // A name that is no body's costs no checkpoint.
+    let mut body = load_body(&body_file, &input.options.body)?;
     if begin_anew_for_others(work_dir, input, &body_file).map_err(anyhow::Error::from)? {
         monitor.begin_anew();
     }
-    let mut body = load_body(&body_file, &input.options.body)?;
     let mut capture = load_capture(input, &mut monitor)?;
     // Of the detections as they were given: what follows reads them anew.
     let measures = quality::measure(&capture);
@@ -138,7 +139,8 @@ fn load_body(path: &Path, name: &str) -> Result<Body, PipelineError> {
         return Ok(Body::test_body());
     }
     Body::load(path).map_err(|e| {
-        PipelineError::Internal(anyhow!("body {name:?}: {e}; `effigy body import` makes {}", path.display()))
+        let path = path.display();
+        PipelineError::Internal(anyhow!("body {name:?}: {e}; `make body`, or `effigy body import FILE`, makes {path}"))
     })
 }
 
