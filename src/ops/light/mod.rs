@@ -34,6 +34,8 @@ pub use gpu::{ShadedRows, Shading, Write};
 
 /// How far the lamp reaches round the body, as the cosine beyond the terminator.
 pub const WRAP: f32 = 0.6;
+/// No point is shut off from all light: cloth against cloth, as in a skirt's folds, lets some through, and a mesh's edges lie within it.
+const LEAST_OPEN: f32 = 0.05;
 
 /// A light; see the formula above.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -96,7 +98,7 @@ impl Light {
 
     /// What of the light reaches a point that sees these shares of its surroundings and of the lamp.
     pub fn exposure(&self, open: f32, visible: f32) -> Exposure {
-        Exposure { ambient: open.powf(self.occlusion), lamp: visible }
+        Exposure { ambient: open.max(LEAST_OPEN).powf(self.occlusion), lamp: visible }
     }
 
     /// What of the light reaches each vertex of a posed mesh, `[V]`; faces show their outside counter-clockwise.

@@ -4,6 +4,7 @@
 
 mod archive;
 mod base_mesh;
+mod crotch;
 mod macros;
 mod population;
 mod rig;
@@ -131,7 +132,8 @@ pub(super) fn import(bytes: Vec<u8>, options: &ImportOptions) -> Result<Imported
         mirror: modeller.surface.mirror,
         keypoints: landmarks.keypoint_sets(),
     };
-    let body = if options.full_detail { body } else { simplify(body, &LIMITS) };
+    let mut body = if options.full_detail { body } else { simplify(body, &LIMITS) };
+    crotch::even_out(&mut body);
     Ok(Imported { body, notes })
 }
 
