@@ -3,14 +3,16 @@
 use glam::{DMat3, DVec3};
 
 use super::landmarks::N_OFFSETS;
+use super::lively::Lively;
 use super::normal::Normal;
 use super::prior;
-use super::problem::{NEAR, Problem, Scales, Stance};
+use super::problem::{NEAR, Problem, Scales, Stance, heavy_tailed};
 use super::rotation;
 use super::state::{Frame, Layout, Shared, State};
 use super::steps;
 use super::tracks;
 use crate::body::N_JOINTS;
+use crate::body::joints::PELVIS;
 
 /// Poses that came with the clip: the fit may move only this far from them (1σ; radians, metres).
 const ANCHOR_ANGLE: f64 = 0.02;
@@ -78,7 +80,7 @@ impl Problem {
         cost
     }
 
-    pub(super) fn pose_prior(&self, t: usize, frame: &Frame, mut normal: Option<&mut Normal>) -> f64 {
+    pub(super) fn pose_prior(&self, t: usize, frame: &Frame, lively: Lively, mut normal: Option<&mut Normal>) -> f64 {
         // The body's up axis leans along x and z of its own frame: the camera's up is −y.
         let up = frame.root.transpose() * DVec3::NEG_Y;
         let weight = 1.0 / (prior::UPRIGHT_SIGMA * prior::UPRIGHT_SIGMA);
@@ -103,9 +105,12 @@ impl Problem {
             let turns = rotation::skew(up);
             for axis in [0, 2] {
                 let slopes = [0, 1, 2].map(|c| (c, turns.col(c)[axis]));
-                pull(&slopes, up[axis] - stance.up[axis], stance.sway[0] / share);
+                pull(&slopes, up[axis] - stance.up[axis], stance.sway[PELVIS] / share);
             }
             for p in self.prior.joints.iter().filter(|p| self.layout.joint_column(p.joint).is_some()) {
+                if lively.moves(p.joint) {
+                    continue;
+                }
                 for axis in 0..3 {
                     let (stood, slopes, n) = self.without_steps(t, frame, p.joint, axis);
                     pull(&slopes[..n], stood - stance.theta[p.joint][axis], stance.sway[p.joint] / share);
@@ -117,7 +122,9 @@ impl Problem {
             for axis in 0..3 {
                 let angle = frame.theta[p.joint][axis];
                 let (stood, slopes, n) = self.without_steps(t, frame, p.joint, axis);
-                pull(&slopes[..n], stood - p.mean[axis], p.sigma[axis]);
+                // Elbows are hinges whatever they do.
+                let free = lively.moves(p.joint) && p.sigma[axis] > prior::HINGE_SIGMA;
+                pull(&slopes[..n], stood - p.mean[axis], if free { prior::FREE_SIGMA } else { p.sigma[axis] });
                 let over = angle - angle.clamp(p.low[axis], p.high[axis]);
                 if over != 0.0 {
                     pull(&[(column + axis, 1.0)], over, prior::LIMIT_SIGMA);
@@ -204,12 +211,16 @@ impl Problem {
     pub(super) fn smoothness(&self, t: usize, state: &State, mut normal: Option<&mut Normal>) -> f64 {
         let (this, next) = (&state.frames[t], &state.frames[t + 1]);
         let gap = self.gaps[t];
+        let lively = self.lively_at(t).or(self.lively_at(t + 1));
         let mut cost = 0.0;
-        let mut tie = |a: &[(usize, f64)], b: &[(usize, f64)], residual: f64, sigma: f64| {
+        let mut tie = |a: &[(usize, f64)], b: &[(usize, f64)], residual: f64, sigma: f64, joint: usize| {
             let weight = 1.0 / (sigma * sigma * gap);
-            cost += 0.5 * weight * residual * residual;
+            let q = weight * residual * residual;
+            let (value, influence) =
+                if lively.moves(joint) { heavy_tailed(q, prior::free_tail(joint)) } else { (0.5 * q, 1.0) };
+            cost += value;
             if let Some(normal) = normal.as_deref_mut() {
-                normal.add_pair(t, a, b, residual, weight);
+                normal.add_pair(t, a, b, residual, influence * weight);
             }
         };
         let turn = rotation::log(this.root.transpose() * next.root);
@@ -227,26 +238,27 @@ impl Problem {
                 residual -= this.turn_rate * gap;
                 a[3].1 = -gap;
             }
-            tie(&a, &b, residual, prior::TILT_DRIFT);
+            tie(&a, &b, residual, prior::TILT_DRIFT, PELVIS);
         }
         let (this_place, next_place) = (relative_place(this.pelvis), relative_place(next.pelvis));
         for axis in 0..3 {
             let slopes = |of: DMat3, sign: f64| [0, 1, 2].map(|c| (Layout::PELVIS + c, sign * of.col(c)[axis]));
             let change = next_place.0[axis] - this_place.0[axis];
-            tie(&slopes(this_place.1, -1.0), &slopes(next_place.1, 1.0), change, prior::PELVIS_DRIFT);
+            tie(&slopes(this_place.1, -1.0), &slopes(next_place.1, 1.0), change, prior::PELVIS_DRIFT, PELVIS);
         }
         tie(
             &[(Layout::TURN_RATE, -1.0)],
             &[(Layout::TURN_RATE, 1.0)],
             next.turn_rate - this.turn_rate,
             prior::TURN_DRIFT,
+            PELVIS,
         );
         for p in self.prior.joints.iter().filter(|p| self.layout.joint_column(p.joint).is_some()) {
             for axis in 0..3 {
                 let (before, mut a, n) = self.without_steps(t, this, p.joint, axis);
                 let (after, b, _) = self.without_steps(t + 1, next, p.joint, axis);
                 a.iter_mut().for_each(|slope| slope.1 = -slope.1);
-                tie(&a[..n], &b[..n], after - before, p.drift);
+                tie(&a[..n], &b[..n], after - before, p.drift, p.joint);
             }
         }
         cost

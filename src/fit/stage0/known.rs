@@ -77,7 +77,7 @@ pub fn candidate(
     }
     scales.sigma_px = noise::of_each_frame(&problem, &state, &scales);
     problem.anchor = Some(state.frames.clone());
-    Ok(Candidate { problem, state, swapped: vec![[false; 3]; n], scales, cost: f64::INFINITY })
+    Ok(Candidate { problem, state, swapped: vec![[false; 3]; n], hidden: Vec::new(), scales, cost: f64::INFINITY })
 }
 
 /// From the capture's world to its camera.

@@ -18,6 +18,7 @@ mod focal;
 mod habits;
 mod known;
 mod landmarks;
+mod lively;
 mod minimise;
 mod noise;
 mod normal;
@@ -148,6 +149,8 @@ struct Candidate {
     problem: Problem,
     state: State,
     swapped: Vec<[bool; 3]>,
+    /// Frame, landmark and weight of the points of faces that are taken for unseen.
+    hidden: Vec<(usize, usize, f64)>,
     scales: Scales,
     cost: f64,
 }
@@ -189,9 +192,10 @@ pub fn solve(
     let mut best = likeliest(candidates).ok_or(Stage0Error::NobodyFound)?;
     report.costs.push(best.cost);
     // Only now: a reading that faces the wrong way must not be rid of the face that contradicts it.
-    sides::ignore_hidden_faces(&mut best.problem, &best.state);
+    best.hidden = sides::ignore_hidden_faces(&mut best.problem, &best.state);
     for _ in 0..FINE_ROUNDS {
         best.tighten(FINE_RHO);
+        best.look_for_life();
         best.descend(1e-4, &mut progress)?;
         report.costs.push(best.cost);
     }
@@ -230,6 +234,16 @@ const ROUGH_RHO: f64 = 4.0;
 const FINE_RHO: f64 = 3.0;
 
 impl Candidate {
+    /// Looks for arms and heads that do not only hang and look ahead. Given poses know.
+    fn look_for_life(&mut self) {
+        if self.problem.anchor.is_some() {
+            return;
+        }
+        self.hidden.drain(..).for_each(|(t, k, weight)| self.problem.observations[t][k].weight = weight);
+        self.problem.lively = lively::find(&self.problem, &mut self.state, &self.scales);
+        self.hidden = sides::ignore_hidden_faces(&mut self.problem, &self.state);
+    }
+
     /// Reads sides anew and sets the scales to the residuals' own.
     fn tighten(&mut self, rho: f64) {
         if self.problem.anchor.is_none() {

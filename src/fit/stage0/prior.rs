@@ -22,6 +22,16 @@ pub struct JointPrior {
     pub high: DVec3,
 }
 
+/// Spread of the angles of an arm or a head that does something else than hang and look ahead, radians.
+pub const FREE_SIGMA: f64 = 1.0;
+/// Degrees of freedom of its changes: it gets there and back at once, and pays for it once. With as few as a head's arms would shake; a head is
+/// held so firmly that it could not turn with more.
+pub fn free_tail(joint: usize) -> f64 {
+    if ARMS.contains(&joint) { 3.0 } else { 1.0 }
+}
+
+/// Axes that spread no more do not bend.
+pub const HINGE_SIGMA: f64 = 0.02;
 /// Softness of joint limits, radians.
 pub const LIMIT_SIGMA: f64 = 0.03;
 /// How far people sway about their stance, who turn slowly: standard deviation of the axis that moves most, radians (docs/lab/fit.md, "What

@@ -3,6 +3,7 @@
 use glam::{DVec2, DVec3};
 
 use super::landmarks::{Landmark, N_OFFSETS};
+use super::lively::Lively;
 use super::normal::Normal;
 use super::prior::{self, Prior};
 use super::rig::{Point, PointJacobian, Posed, Rig};
@@ -150,6 +151,8 @@ pub struct Problem {
     pub anchor: Option<Vec<Frame>>,
     /// About which frames sway, where detections cannot be trusted to tell.
     pub stance: Option<Stance>,
+    /// `[N]`: the arms and heads that do something else than hang and look ahead; empty before they are looked for.
+    pub lively: Vec<Lively>,
     pub steps: Steps,
 }
 
@@ -163,6 +166,12 @@ pub fn geman_mcclure_share(q: f64, rho: f64) -> f64 {
 fn geman_mcclure(q: f64, rho: f64) -> (f64, f64) {
     let share = geman_mcclure_share(q, rho);
     (0.5 * q * share, share * share)
+}
+
+/// A squared error `q` of a Student's t of `tail` degrees of freedom, without what does not depend on it: `½ ν ln(1 + q/ν)`, and its
+/// derivative with respect to `½ q`. A Gaussian's is `½ q`.
+pub(super) fn heavy_tailed(q: f64, tail: f64) -> (f64, f64) {
+    (0.5 * tail * (q / tail).ln_1p(), 1.0 / (1.0 + q / tail))
 }
 
 /// Where a landmark's offset stands, what it is and which of its axes count.
@@ -212,6 +221,11 @@ impl Rows {
 }
 
 impl Problem {
+    /// What is lively in a frame.
+    pub(super) fn lively_at(&self, t: usize) -> Lively {
+        self.lively.get(t).copied().unwrap_or_default()
+    }
+
     /// The cost of a state; with `normal`, its equations are added.
     pub fn evaluate(&self, state: &State, scales: &Scales, mut normal: Option<&mut Normal>) -> f64 {
         let camera = self.camera.zoomed(state.shared.log_focal);
@@ -225,7 +239,7 @@ impl Problem {
             cost += self.sightings(&look, &mut rows, normal.as_deref_mut());
             cost += match &self.anchor {
                 Some(anchor) => self.anchored(t, frame, &anchor[t], normal.as_deref_mut()),
-                None => self.pose_prior(t, frame, normal.as_deref_mut()),
+                None => self.pose_prior(t, frame, self.lively_at(t), normal.as_deref_mut()),
             };
             cost += self.step_prior(t, frame, normal.as_deref_mut());
         }
@@ -239,10 +253,15 @@ impl Problem {
 
     /// What keypoints and the standing prior make of one frame.
     pub fn of_frame(&self, t: usize, frame: &Frame, shared: &Shared, scales: &Scales) -> f64 {
+        self.of_lively_frame(t, frame, self.lively_at(t), shared, scales)
+    }
+
+    /// The same, were this lively in it.
+    pub fn of_lively_frame(&self, t: usize, frame: &Frame, lively: Lively, shared: &Shared, scales: &Scales) -> f64 {
         let camera = self.camera.zoomed(shared.log_focal);
         let posed = self.rig.pose(frame, shared);
         let look = Look { t, posed: &posed, shared, camera: &camera, scales };
-        self.keypoints(&look, &mut Rows::default(), None) + self.pose_prior(t, frame, None)
+        self.keypoints(&look, &mut Rows::default(), None) + self.pose_prior(t, frame, lively, None)
     }
 
     /// A person's height in pixels, as far away as the state has this one.

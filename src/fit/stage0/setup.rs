@@ -74,6 +74,7 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         tracks: Tracks::default(),
         anchor: None,
         stance: None,
+        lively: Vec::new(),
         steps: Steps::default(),
     })
 }
@@ -145,7 +146,7 @@ fn candidate(mut problem: Problem, reading: &Placement) -> Candidate {
     }
     let state = first_state(&problem, reading);
     let scales = rough_scales(&problem, &state);
-    Candidate { problem, state, swapped, scales, cost: f64::INFINITY }
+    Candidate { problem, state, swapped, hidden: Vec::new(), scales, cost: f64::INFINITY }
 }
 
 /// The mean body in its mean pose, placed and turned as read.

@@ -4,6 +4,7 @@ use glam::{DVec2, DVec3};
 
 use super::landmarks::{GROUPS, Part};
 use super::problem::{Problem, Scales};
+use super::rig::Posed;
 use super::state::State;
 use crate::body::joints::{HEAD, SPINE3};
 
@@ -67,22 +68,28 @@ const FACING_JOINTS: [usize; 2] = [SPINE3, HEAD];
 /// Cosine between where they look and where the camera is: from here on the head is in front of nose and eyes.
 const HIDES_FACE: f64 = -0.3;
 
+/// Whether a body is seen from behind, its head too.
+pub fn hides_face(posed: &Posed) -> bool {
+    FACING_JOINTS
+        .into_iter()
+        .all(|joint| (posed.rotations[joint] * DVec3::Z).dot(-posed.positions[joint].normalize_or_zero()) < HIDES_FACE)
+}
+
 /// Takes nose and eyes of heads that are seen from behind for unseen. Some detectors (MediaPipe's) guess them there, with the
-/// same confidence as in front: they would nod the head.
-pub fn ignore_hidden_faces(problem: &mut Problem, state: &State) {
+/// same confidence as in front: they would nod the head. Frame, landmark and weight of each.
+pub fn ignore_hidden_faces(problem: &mut Problem, state: &State) -> Vec<(usize, usize, f64)> {
+    let mut hidden = Vec::new();
     for (t, frame) in state.frames.iter().enumerate() {
-        let posed = problem.rig.pose(frame, &state.shared);
-        let looks_away =
-            |j: usize| (posed.rotations[j] * DVec3::Z).dot(-posed.positions[j].normalize_or_zero()) < HIDES_FACE;
-        if !FACING_JOINTS.into_iter().all(looks_away) {
+        if !hides_face(&problem.rig.pose(frame, &state.shared)) {
             continue;
         }
-        for (landmark, seen) in problem.landmarks.iter().zip(&mut problem.observations[t]) {
-            if matches!(landmark.part, Part::Nose | Part::Eye) {
-                seen.weight = 0.0;
+        for (k, (landmark, seen)) in problem.landmarks.iter().zip(&mut problem.observations[t]).enumerate() {
+            if matches!(landmark.part, Part::Nose | Part::Eye) && seen.weight > 0.0 {
+                hidden.push((t, k, std::mem::take(&mut seen.weight)));
             }
         }
     }
+    hidden
 }
 
 /// Exchanges left and right detections of one group in one frame.

@@ -40,6 +40,10 @@ pub struct Difficulty {
     pub step_degrees: f64,
     /// Swing of the turn's pace, 0..1.
     pub pace: f64,
+    /// The right hand lies on the hip in the last third of the clip.
+    pub hand_on_hip: bool,
+    /// The face stays towards the camera for so far, degrees, and comes round from the other side.
+    pub looks_back_degrees: f64,
     pub betas: Vec<f64>,
     /// The camera's file says this many times the true focal length, and is marked as a guess.
     pub focal_guess: Option<f64>,
@@ -75,6 +79,8 @@ impl Default for Difficulty {
             swing_degrees: 5.0,
             step_degrees: 0.0,
             pace: 0.2,
+            hand_on_hip: false,
+            looks_back_degrees: 0.0,
             betas: vec![0.3, 0.0, -0.4],
             focal_guess: None,
             face_through_head: false,
@@ -137,6 +143,15 @@ fn poses(how: &Difficulty) -> Vec<Pose> {
         theta[RIGHT_SHOULDER] = DVec3::new(0.05, -0.1 * sway(1.1), 0.72 + swing * sway(0.3));
         theta[LEFT_ELBOW].y = -0.27 + 0.06 * sway(0.9);
         theta[RIGHT_ELBOW].y = 0.2 + 0.06 * sway(1.4);
+        // Back towards the camera as far as a neck turns; the back of the head where the back is seen.
+        let away = (yaw + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
+        let most = how.looks_back_degrees.to_radians();
+        theta[HEAD].y -= if away.abs() < 2.0 { away.clamp(-most, most) } else { 0.0 };
+        if how.hand_on_hip && at > 0.6 {
+            let there = ((at - 0.6) / 0.1).min(1.0);
+            theta[RIGHT_SHOULDER] += DVec3::new(0.35, 0.55, 0.1) * there;
+            theta[RIGHT_ELBOW].y += 1.4 * there;
+        }
         for (side, lifted) in [[1, 2], [4, 5]].into_iter().enumerate() {
             let raised = if lifted.contains(&(t % 6)) { how.step_degrees.to_radians() } else { 0.0 };
             for (joint, share) in [(LEFT_HIP, -1.0), (LEFT_KNEE, 2.0), (LEFT_ANKLE, -1.0)] {
@@ -304,7 +319,20 @@ pub struct Errors {
     pub facing_degrees: f64,
 }
 
-pub fn errors(body: &Body, clip: &Clip, result: &Stage0Result) -> Errors {
+/// What was found in a frame.
+fn found(result: &Stage0Result, t: usize, rest: DVec3) -> Pose {
+    let angle = |j: usize| DVec3::from_array([0, 1, 2].map(|a| f64::from(result.poses[t][3 * j + a])));
+    Pose {
+        root: rotation::exp(angle(0)),
+        pelvis: DVec3::from_array(result.transl[t].map(f64::from)) + rest,
+        turn_rate: 0.0,
+        step: [[0.0; 2]; 2],
+        theta: std::array::from_fn(angle),
+    }
+}
+
+/// The scale that makes sizes and distances equal, and `[N][24]` the joints as found and as they are.
+pub fn joints(body: &Body, clip: &Clip, result: &Stage0Result) -> (f64, Vec<Vec<(DVec3, DVec3)>>) {
     let rig = Rig::new(body);
     let shared = Shared {
         betas: result.betas.iter().map(|b| f64::from(*b)).collect(),
@@ -313,24 +341,26 @@ pub fn errors(body: &Body, clip: &Clip, result: &Stage0Result) -> Errors {
         log_focal: 0.0,
     };
     let rest = rig.rest_joints(&shared.betas)[0];
-    let (mut pairs, mut facing) = (Vec::new(), 0.0f64);
-    for (t, truth) in clip.poses.iter().enumerate() {
-        let angle = |j: usize| DVec3::from_array([0, 1, 2].map(|a| f64::from(result.poses[t][3 * j + a])));
-        let found = Pose {
-            root: rotation::exp(angle(0)),
-            pelvis: DVec3::from_array(result.transl[t].map(f64::from)) + rest,
-            turn_rate: 0.0,
-            step: [[0.0; 2]; 2],
-            theta: std::array::from_fn(angle),
-        };
-        let (a, b) = (rig.pose(&found, &shared).positions, rig.pose(truth, &clip.shared).positions);
-        pairs.extend(a.into_iter().zip(b));
-        let heading = |root: DMat3| root.z_axis.x.atan2(-root.z_axis.z);
-        let wrong = (heading(found.root) - heading(truth.root)).to_degrees();
-        facing = facing.max(((wrong + 180.0).rem_euclid(360.0) - 180.0).abs());
-    }
-    let scale: f64 =
-        pairs.iter().map(|(a, b)| a.dot(*b)).sum::<f64>() / pairs.iter().map(|(a, _)| a.length_squared()).sum::<f64>();
-    let mean = |s: f64| pairs.iter().map(|(a, b)| (*a * s).distance(*b)).sum::<f64>() / pairs.len() as f64;
-    Errors { joints: mean(1.0), scaled: mean(scale), facing_degrees: facing }
+    let pairs = |(t, truth): (usize, &Pose)| -> Vec<(DVec3, DVec3)> {
+        let ours = rig.pose(&found(result, t, rest), &shared).positions;
+        ours.into_iter().zip(rig.pose(truth, &clip.shared).positions).collect()
+    };
+    let frames: Vec<_> = clip.poses.iter().enumerate().map(pairs).collect();
+    let all = || frames.iter().flatten();
+    let scale = all().map(|(a, b)| a.dot(*b)).sum::<f64>() / all().map(|(a, _)| a.length_squared()).sum::<f64>();
+    (scale, frames)
+}
+
+pub fn errors(body: &Body, clip: &Clip, result: &Stage0Result) -> Errors {
+    let (scale, frames) = joints(body, clip, result);
+    let heading = |root: DMat3| root.z_axis.x.atan2(-root.z_axis.z);
+    let facing = clip.poses.iter().enumerate().map(|(t, truth)| {
+        let wrong = (heading(found(result, t, DVec3::ZERO).root) - heading(truth.root)).to_degrees();
+        ((wrong + 180.0).rem_euclid(360.0) - 180.0).abs()
+    });
+    let mean = |s: f64| {
+        let distances = frames.iter().flatten().map(|(a, b)| (*a * s).distance(*b));
+        distances.sum::<f64>() / frames.iter().flatten().count() as f64
+    };
+    Errors { joints: mean(1.0), scaled: mean(scale), facing_degrees: facing.fold(0.0, f64::max) }
 }

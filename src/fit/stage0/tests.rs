@@ -11,6 +11,7 @@ use super::synthetic::{self, Clip, Difficulty, Errors, clip, errors};
 use super::tracks::Sighting;
 use super::{FocalCheck, Stage0Error, Stage0Options, Stage0Result, solve};
 use crate::body::Body;
+use crate::body::joints::{HEAD, NECK, RIGHT_WRIST};
 use crate::capture::KnownPoses;
 use crate::keypoints::{COCO17, Part, Side, index_of};
 
@@ -56,6 +57,32 @@ fn one_and_a_half_turns_at_a_varying_pace() {
 #[test]
 fn arms_that_swing() {
     recovers(&Difficulty { swing_degrees: 30.0, seed: 5, ..Difficulty::default() }, 0.03, 6.0);
+}
+
+/// Mean distance of a joint from the truth's once sizes are made equal, metres, over the frames from `from` on.
+fn joint_error(clip: &Clip, result: &Stage0Result, joint: usize, from: usize) -> f64 {
+    let (scale, frames) = synthetic::joints(&Body::test_body(), clip, result);
+    let errors = frames[from..].iter().map(|frame| (frame[joint].0 * scale).distance(frame[joint].1));
+    errors.sum::<f64>() / (frames.len() - from) as f64
+}
+
+#[test]
+fn a_hand_that_goes_to_the_hip() {
+    let (clip, result, errors) = solved(&Difficulty { hand_on_hip: true, seed: 12, ..Difficulty::default() });
+    let wrist = joint_error(&clip, &result, RIGHT_WRIST, 22);
+    assert!(errors.scaled < 0.03 && wrist < 0.06, "{errors:?}, wrist {wrist}");
+}
+
+#[test]
+fn a_head_that_looks_over_the_shoulder() {
+    let how = Difficulty { looks_back_degrees: 60.0, dropped: 0.0, seed: 13, ..Difficulty::default() };
+    let (clip, result, errors) = solved(&how);
+    let turns = |pose: &Pose| pose.theta[HEAD].y + pose.theta[NECK].y;
+    let of = |t: usize| f64::from(result.poses[t][3 * HEAD + 1] + result.poses[t][3 * NECK + 1]);
+    let off: Vec<f64> = clip.poses.iter().enumerate().map(|(t, pose)| (of(t) - turns(pose)).to_degrees()).collect();
+    let turned = || off.iter().zip(&clip.poses).filter(|(_, pose)| turns(pose).abs() > 0.7).map(|(off, _)| off.abs());
+    let mean = turned().sum::<f64>() / turned().count() as f64;
+    assert!(errors.facing_degrees < 6.0 && mean < 30.0, "{errors:?}, {mean}: {off:.0?}");
 }
 
 #[test]
