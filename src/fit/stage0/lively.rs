@@ -2,14 +2,14 @@
 //!
 //! Descent does not find it. A hand far from where hands hang is taken for a wrong detection, and an arm that should bend for it
 //! is held by the frames before and after. So it is looked for: where elbow and wrist, or a face, lie far from where the arm or
-//! head of a frame puts them, other angles are tried, one frame at a time. Where they explain it better
-//! that arm or head is free from there on.
+//! head of a frame puts them, other angles are tried, one frame at a time. Where they explain it better, that arm or head is free
+//! from then on.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::landmarks::Part;
-use super::problem::{Problem, Scales, geman_mcclure_share};
+use super::problem::{Problem, Scales, geman_mcclure};
 use super::sides;
 use super::state::{Frame, State};
 use crate::body::joints::{HEAD, LEFT_ELBOW, LEFT_SHOULDER, NECK, RIGHT_ELBOW, RIGHT_SHOULDER};
@@ -184,7 +184,7 @@ fn look(
         let face = face.filter(|((landmark, _), _)| matches!(landmark.part, Part::Nose | Part::Eye));
         let paid = face.map(|((_, seen), place)| {
             let q = seen.at.distance_squared(*place) / (scales.sigma_px * scales.sigma_px);
-            0.5 * seen.weight * q * geman_mcclure_share(q, RHO)
+            seen.weight * geman_mcclure(q, RHO).0
         });
         return (as_it_is - paid.sum::<f64>() - least > HIDDEN_MARGIN).then_some(best);
     }

@@ -7,7 +7,7 @@
 //! tridiagonal and are solved directly (`normal`).
 //! Because the problem has many minima, it starts from a search over facings, directions of the turn and
 //! swapped sides (`placement`), and frames are read anew between the rounds of descent (`sides`). Feet that step are looked
-//! for too (`steps`).
+//! for too (`steps`), and hands and heads that do something else than hang and look ahead (`lively`).
 //!
 //! What one camera cannot tell: the absolute size. Scaling the body and its distance together leaves every image
 //! as it was, so size comes from the shape prior.

@@ -163,7 +163,7 @@ pub fn geman_mcclure_share(q: f64, rho: f64) -> f64 {
 }
 
 /// `½ ρ²q/(q + ρ²)` and its derivative with respect to `½ q`.
-fn geman_mcclure(q: f64, rho: f64) -> (f64, f64) {
+pub(super) fn geman_mcclure(q: f64, rho: f64) -> (f64, f64) {
     let share = geman_mcclure_share(q, rho);
     (0.5 * q * share, share * share)
 }

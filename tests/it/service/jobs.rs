@@ -203,6 +203,12 @@ async fn the_services_own_state_is_told() {
     let ready = bench.get("/readyz").await;
     assert_eq!(ready.status, 200);
     assert!(!ready.header("x-request-id").is_empty());
+    for body in std::fs::read_dir(bench.store.bodies()).unwrap() {
+        std::fs::remove_file(body.unwrap().path()).unwrap();
+    }
+    let without_body = bench.get("/readyz").await;
+    assert!(String::from_utf8_lossy(&without_body.body).contains("there is no body"));
+    without_body.problem(503);
     let figures = String::from_utf8(bench.get("/metrics").await.body).unwrap();
     for line in ["effigy_jobs{state=\"queued\"}", "effigy_queue_depth", "effigy_http_requests_total{"] {
         assert!(figures.contains(line), "{line} is not in\n{figures}");
