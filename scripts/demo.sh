@@ -127,7 +127,7 @@ done
 
 avatar=$(printf %s "$status" | json avatar)
 case $avatar in "{"*) avatar=$(printf %s "$status" | json avatar id) ;; esac
-for file in avatar.glb texture.png motion.npz report.html report.json model.npz; do
+for file in avatar.glb avatar.vrm texture.png motion.npz report.html report.json model.npz; do
     ask -f "$url/v1/avatars/$avatar/$file" -o "$out/$file"
 done
 ask -f "$url/v1/avatars/$avatar/mesh.ply" -o "$out/mesh.ply"
@@ -168,6 +168,7 @@ EFFIGY_DATA_DIR=$data "$effigy" render --model "$out/model.npz" --turntable 48 -
 echo
 echo "Done. In $out:"
 echo "  avatar.glb      opens in Blender, Unity, three.js"
+echo "  avatar.vrm      the same for programs that animate VRM humanoids"
 echo "  turntable       the avatar from all sides"
 echo "  pose_*.png      the avatar in poses that the clip does not show"
 echo "  report.html     input against fit, close-ups, losses, what to film better"

@@ -3,10 +3,11 @@
 use std::io::{BufWriter, Cursor};
 use std::path::Path;
 
-use image::{ImageFormat, RgbImage};
+use image::{DynamicImage, ImageFormat, RgbImage};
 
 use super::ply::Mesh;
-use super::render::Renderer;
+use super::render::{RenderError, Renderer};
+use super::vrm::{portrait, write_vrm};
 use super::{BakeError, ModelError, Texture, UvLayout, bake, ply, write_glb, write_motion};
 use crate::gpu::GpuError;
 use crate::npz::NpzError;
@@ -18,6 +19,8 @@ pub enum ExportError {
     Bake(#[from] BakeError<GpuError>),
     #[error(transparent)]
     Gpu(#[from] GpuError),
+    #[error(transparent)]
+    Render(#[from] RenderError),
     #[error(transparent)]
     Model(#[from] ModelError),
     #[error(transparent)]
@@ -49,16 +52,17 @@ impl Renderer {
         bake(layout, size_px, |points| self.albedo(points))
     }
 
-    /// Writes `avatar.glb`, `texture.png` (`size_px` a side), `mesh.ply` (T-pose), `motion.npz` and `model.npz` into an
-    /// existing folder. Waits.
+    /// Writes `avatar.glb`, `avatar.vrm`, `texture.png` (`size_px` a side), `mesh.ply` (T-pose), `motion.npz` and `model.npz`
+    /// into an existing folder. Waits.
     pub fn export(&self, folder: &Path, size_px: u32) -> Result<(), ExportError> {
         let model = self.model();
         let layout = UvLayout::of_body(&model.body);
-        let mut png = Cursor::new(Vec::new());
-        self.bake(&layout, size_px)?.write_to(&mut png, ImageFormat::Png)?;
-        std::fs::write(folder.join("texture.png"), png.get_ref())?;
-        let glb = write_glb(model, &layout, &Texture { bytes: png.get_ref(), mime: "image/png" });
-        std::fs::write(folder.join("avatar.glb"), glb)?;
+        let texture = png(&self.bake(&layout, size_px)?)?;
+        let portrait = png(&DynamicImage::from(self.render(&portrait(model))?).into_rgb8())?;
+        std::fs::write(folder.join("texture.png"), &texture)?;
+        let [texture, portrait] = [&texture, &portrait].map(|bytes| Texture { bytes, mime: "image/png" });
+        std::fs::write(folder.join("avatar.glb"), write_glb(model, &layout, &texture))?;
+        std::fs::write(folder.join("avatar.vrm"), write_vrm(model, &layout, &texture, Some(&portrait)))?;
         if let Some(mesh) = self.mesh(None)? {
             ply::write(&mesh, std::fs::File::create(folder.join("mesh.ply"))?)?;
         }
@@ -66,6 +70,12 @@ impl Renderer {
         model.save(&folder.join("model.npz"))?;
         Ok(())
     }
+}
+
+fn png(image: &RgbImage) -> Result<Vec<u8>, image::ImageError> {
+    let mut out = Cursor::new(Vec::new());
+    image.write_to(&mut out, ImageFormat::Png)?;
+    Ok(out.into_inner())
 }
 
 #[cfg(test)]
@@ -89,6 +99,8 @@ mod tests {
         let glb = read("avatar.glb");
         let png = read("texture.png");
         assert!(glb.windows(png.len()).any(|w| w == png), "the texture is inside the GLB");
+        let vrm = read("avatar.vrm");
+        assert!(vrm.windows(png.len()).any(|w| w == png), "the texture is inside the VRM");
         let mesh = ply::read(read("mesh.ply").as_slice()).unwrap();
         assert_eq!((mesh.vertices.len(), mesh.colours.len()), (634, 634));
         assert_eq!(AvatarModel::load(&folder.path().join("model.npz")).unwrap(), **renderer.model());

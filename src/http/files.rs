@@ -21,7 +21,7 @@ const CHUNK_BYTES: usize = 256 << 10;
 /// A report shows itself: no script runs in it, it fetches nothing, and it is of no origin.
 const PAGE_POLICY: &str = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:";
 
-/// Download a file of an avatar: `avatar.glb`, `texture.png`, `motion.npz`, `report.json`, `report.html`, …
+/// Download a file of an avatar: `avatar.glb`, `avatar.vrm`, `texture.png`, `motion.npz`, `report.json`, `report.html`, …
 ///
 /// One range of bytes can be asked for; the ETag is strong and holds as long as the avatar does.
 #[utoipa::path(
@@ -137,7 +137,7 @@ fn disposition(name: &str) -> &'static str {
 
 fn content_type(name: &str) -> &'static str {
     match name.rsplit_once('.').map(|(_, extension)| extension) {
-        Some("glb") => "model/gltf-binary",
+        Some("glb" | "vrm") => "model/gltf-binary",
         Some("png") => "image/png",
         Some("json") => "application/json",
         Some("html") => "text/html; charset=utf-8",

@@ -113,7 +113,17 @@ fn a_clip_becomes_an_avatar_that_looks_like_the_person() {
     assert_eq!(outcome.frames, 12);
     assert!(outcome.metrics["mask_iou"].as_f64().unwrap() > 0.9, "{:#}", outcome.metrics);
     assert!(outcome.metrics["psnr"].as_f64().unwrap() > 20.0, "{:#}", outcome.metrics);
-    for file in ["avatar.glb", "texture.png", "motion.npz", "mesh.ply", "report.json", "report.html", "model.npz"] {
+    let files = [
+        "avatar.glb",
+        "avatar.vrm",
+        "texture.png",
+        "motion.npz",
+        "mesh.ply",
+        "report.json",
+        "report.html",
+        "model.npz",
+    ];
+    for file in files {
         assert!(folder.path().join("out").join(file).metadata().unwrap().len() > 100, "{file}");
     }
     let report = std::fs::read(folder.path().join("out/report.json")).unwrap();

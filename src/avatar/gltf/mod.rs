@@ -20,7 +20,7 @@ use self::motion::{Motion, convert};
 use super::{AvatarModel, UvLayout, pose};
 use crate::body::{JOINT_NAMES, N_JOINTS};
 
-/// An encoded picture for the base colour.
+/// An encoded picture.
 pub struct Texture<'a> {
     pub bytes: &'a [u8],
     /// `image/png` or `image/jpeg`
@@ -69,58 +69,84 @@ fn influences(joints: [u32; 4], weights: [f32; 4]) -> ([u8; 4], [f32; 4]) {
 /// # Panics
 /// When the layout has another number of faces than the body, or the model has no frames.
 pub fn write_glb(model: &AvatarModel, layout: &UvLayout, texture: &Texture<'_>) -> Vec<u8> {
-    let body = &model.body;
-    assert_eq!(body.faces.len(), layout.uv_faces.len(), "faces of body and texture layout");
-    let rest = model.rest_vertices();
-    let split = split(&body.faces, layout);
-    let floor = split.corners.iter().map(|c| rest[c[0] as usize][1]).fold(f32::INFINITY, f32::min);
-    let up = |p: [f32; 3]| [p[0], p[1] - floor, p[2]];
-    let joints: Vec<[f32; 3]> = body.shaped_joints(&model.betas).into_iter().map(up).collect();
-
-    let mut buffers = Buffers::default();
-    let primitive = primitive(&mut buffers, model, layout, &split, &rest, up);
-    let inverse_bind: Vec<[f32; 16]> =
-        joints.iter().map(|&j| glam::Mat4::from_translation(-Vec3::from(j)).to_cols_array()).collect();
-    let inverse_bind = buffers.floats(&inverse_bind, Use::Other);
+    let mut file = Rigged::new(model, layout, texture);
     let motion = convert(model);
-    let animation = animation(&mut buffers, &motion);
-    let image = buffers.view(texture.bytes, Use::Other);
-
-    let document = json!({
-        "asset": {
-            "version": "2.0",
-            "generator": concat!("Effigy ", env!("CARGO_PKG_VERSION")),
-            "extras": {
-                "gltf_from_world": motion.gltf_from_world.transpose().to_cols_array(),
-                "body": body.name,
-                "video_frames": model.frames,
-            },
-        },
-        "extensionsUsed": ["KHR_materials_unlit"],
-        "scene": 0,
-        "scenes": [{ "name": "avatar", "nodes": [0, N_JOINTS] }],
-        "nodes": nodes(&body.parents, &joints),
-        "meshes": [{ "name": "body", "primitives": [primitive] }],
-        "skins": [{
-            "name": "skeleton", "skeleton": 0, "inverseBindMatrices": inverse_bind,
-            "joints": (0..N_JOINTS).collect::<Vec<_>>(),
-        }],
-        "materials": [{
-            "name": "captured",
-            "pbrMetallicRoughness": {
-                "baseColorTexture": { "index": 0 }, "metallicFactor": 0.0, "roughnessFactor": 0.9,
-            },
-            "extensions": { "KHR_materials_unlit": {} },
-        }],
-        "textures": [{ "source": 0, "sampler": 0 }],
-        "samplers": [{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }],
-        "images": [{ "name": "texture", "bufferView": image, "mimeType": texture.mime }],
-        "animations": [animation],
-        "bufferViews": buffers.views,
-        "accessors": buffers.accessors,
-        "buffers": [{ "byteLength": buffers.bytes.len() }],
+    file.document["asset"]["extras"] = json!({
+        "gltf_from_world": motion.gltf_from_world.transpose().to_cols_array(),
+        "body": model.body.name,
+        "video_frames": model.frames,
     });
-    container(&document, buffers.bytes)
+    file.document["animations"] = json!([animation(&mut file.buffers, &motion)]);
+    file.into_bytes()
+}
+
+/// The avatar in its T-pose, textured and rigged: what every file has that is built on glTF. Joint j is node j.
+pub(super) struct Rigged {
+    /// Without what tells of the buffers.
+    pub document: Value,
+    buffers: Buffers,
+}
+
+impl Rigged {
+    /// # Panics
+    /// When the layout has another number of faces than the body.
+    pub fn new(model: &AvatarModel, layout: &UvLayout, texture: &Texture<'_>) -> Self {
+        let body = &model.body;
+        assert_eq!(body.faces.len(), layout.uv_faces.len(), "faces of body and texture layout");
+        let rest = model.rest_vertices();
+        let split = split(&body.faces, layout);
+        let floor = split.corners.iter().map(|c| rest[c[0] as usize][1]).fold(f32::INFINITY, f32::min);
+        let up = |p: [f32; 3]| [p[0], p[1] - floor, p[2]];
+        let joints: Vec<[f32; 3]> = body.shaped_joints(&model.betas).into_iter().map(up).collect();
+
+        let mut buffers = Buffers::default();
+        let primitive = primitive(&mut buffers, model, layout, &split, &rest, up);
+        let inverse_bind: Vec<[f32; 16]> =
+            joints.iter().map(|&j| glam::Mat4::from_translation(-Vec3::from(j)).to_cols_array()).collect();
+        let inverse_bind = buffers.floats(&inverse_bind, Use::Other);
+        let document = json!({
+            "asset": { "version": "2.0", "generator": concat!("Effigy ", env!("CARGO_PKG_VERSION")) },
+            "extensionsUsed": ["KHR_materials_unlit"],
+            "scene": 0,
+            "scenes": [{ "name": "avatar", "nodes": [0, N_JOINTS] }],
+            "nodes": nodes(&body.parents, &joints),
+            "meshes": [{ "name": "body", "primitives": [primitive] }],
+            "skins": [{
+                "name": "skeleton", "skeleton": 0, "inverseBindMatrices": inverse_bind,
+                "joints": (0..N_JOINTS).collect::<Vec<_>>(),
+            }],
+            "materials": [{
+                "name": "captured",
+                "pbrMetallicRoughness": {
+                    "baseColorTexture": { "index": 0 }, "metallicFactor": 0.0, "roughnessFactor": 0.9,
+                },
+                "extensions": { "KHR_materials_unlit": {} },
+            }],
+            "textures": [{ "source": 0, "sampler": 0 }],
+            "samplers": [{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }],
+            "images": [],
+        });
+        let mut file = Self { document, buffers };
+        file.image("texture", texture);
+        file
+    }
+
+    /// Adds a picture; its index.
+    pub fn image(&mut self, name: &str, image: &Texture<'_>) -> usize {
+        let view = self.buffers.view(image.bytes, Use::Other);
+        let images = self.document["images"].as_array_mut().expect("a document has images");
+        images.push(json!({ "name": name, "bufferView": view, "mimeType": image.mime }));
+        images.len() - 1
+    }
+
+    /// The whole file.
+    pub fn into_bytes(self) -> Vec<u8> {
+        let Self { mut document, buffers } = self;
+        document["bufferViews"] = buffers.views.into();
+        document["accessors"] = buffers.accessors.into();
+        document["buffers"] = json!([{ "byteLength": buffers.bytes.len() }]);
+        container(&document, buffers.bytes)
+    }
 }
 
 /// Node j is joint j, node 24 the mesh. Joint nodes carry translations only: every joint frame is parallel to the world

@@ -66,7 +66,7 @@ impl RenderSpec {
     }
 
     /// [`RenderError::Invalid`] for a picture that cannot be.
-    pub(super) fn check(&self, model: &AvatarModel) -> Result<(), RenderError> {
+    pub(in crate::avatar) fn check(&self, model: &AvatarModel) -> Result<(), RenderError> {
         let invalid = |what: String| Err(RenderError::Invalid(what));
         let camera = &self.camera;
         if !(1..=MAX_SIDE_PX).contains(&camera.width) || !(1..=MAX_SIDE_PX).contains(&camera.height) {

@@ -124,7 +124,7 @@ fn what_comes_after_the_fit_ends_the_same_wherever_it_is_stopped() {
     }
     assert!(stopped.path().join("work/detailed.npz").exists());
     run(&gpu, &input(clip(&gpu)), stopped.path(), &mut Witness::default()).unwrap();
-    for file in ["model.npz", "avatar.glb", "texture.png"] {
+    for file in ["model.npz", "avatar.glb", "avatar.vrm", "texture.png"] {
         let [whole, stopped] =
             [&whole, &stopped].map(|folder| std::fs::read(folder.path().join("out").join(file)).unwrap());
         assert!(whole == stopped, "{file} of a fit that was stopped four times is another");

@@ -89,10 +89,19 @@ async fn a_report_is_shown_and_can_do_nothing() {
 }
 
 #[tokio::test]
+async fn a_vrm_is_a_glb_by_its_type() {
+    let bench = Bench::new().await;
+    let path = format!("/v1/avatars/{}/avatar.vrm", bench.publish(&[("avatar.vrm", GLB)]).await);
+    let reply = bench.get(&path).await;
+    assert_eq!((reply.header("content-type"), reply.body.as_slice()), ("model/gltf-binary", GLB));
+    assert_eq!(reply.header("content-disposition"), "attachment; filename=\"avatar.vrm\"");
+}
+
+#[tokio::test]
 async fn unknown_files_stay_unknown() {
     let bench = Bench::new().await;
     let path = avatar(&bench).await;
-    for name in ["avatar.vrm", "..%2F..%2Feffigy.db", "%2e%2e", "model.npz"] {
+    for name in ["avatar.fbx", "..%2F..%2Feffigy.db", "%2e%2e", "model.npz"] {
         bench.get(&format!("{path}/{name}")).await.problem(404);
     }
     bench.get(&format!("/v1/avatars/{}", Uuid::nil())).await.problem(404);

@@ -1,6 +1,8 @@
-//! A made avatar for tests: the test body, turning, with a random texture.
+//! A made avatar for tests: the test body, turning, with a random texture; what its files are made of and read by.
 
-use super::AvatarModel;
+pub(super) mod glb;
+
+use super::{AvatarModel, Texture, UvLayout, bake};
 use crate::body::joints::{LEFT_ELBOW, LEFT_KNEE, LEFT_SHOULDER, RIGHT_SHOULDER};
 use crate::body::{Body, N_POSE};
 use crate::camera::Camera;
@@ -47,4 +49,14 @@ pub(crate) fn turning_avatar() -> AvatarModel {
         camera: camera(128),
         body,
     }
+}
+
+/// What is made with a small texture, baked by the vertices' positions; needs no device.
+pub(super) fn textured<R>(model: &AvatarModel, make: impl FnOnce(&UvLayout, &Texture<'_>) -> R) -> R {
+    let layout = UvLayout::of_body(&model.body);
+    let image =
+        bake::<std::convert::Infallible>(&layout, 64, |points| Ok(vec![[0.8, 0.5, 0.2]; points.len()])).unwrap();
+    let mut png = std::io::Cursor::new(Vec::new());
+    image.write_to(&mut png, image::ImageFormat::Png).unwrap();
+    make(&layout, &Texture { bytes: png.get_ref(), mime: "image/png" })
 }
