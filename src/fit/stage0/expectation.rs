@@ -207,17 +207,16 @@ impl Problem {
     }
 
     /// A random walk of every angle and of the place; the root turns about its own up axis at a rate that
-    /// changes slowly: `log(R_tᵀ R_{t+1}) ≈ (0, rate·Δ, 0)`.
+    /// changes slowly, but for where it stops or goes on: `log(R_tᵀ R_{t+1}) ≈ (0, rate·Δ, 0)`.
     pub(super) fn smoothness(&self, t: usize, state: &State, mut normal: Option<&mut Normal>) -> f64 {
         let (this, next) = (&state.frames[t], &state.frames[t + 1]);
         let gap = self.gaps[t];
         let lively = self.lively_at(t).or(self.lively_at(t + 1));
         let mut cost = 0.0;
-        let mut tie = |a: &[(usize, f64)], b: &[(usize, f64)], residual: f64, sigma: f64, joint: usize| {
+        let mut tie = |a: &[(usize, f64)], b: &[(usize, f64)], residual: f64, sigma: f64, tail: Option<f64>| {
             let weight = 1.0 / (sigma * sigma * gap);
             let q = weight * residual * residual;
-            let (value, influence) =
-                if lively.moves(joint) { heavy_tailed(q, prior::free_tail(joint)) } else { (0.5 * q, 1.0) };
+            let (value, influence) = tail.map_or((0.5 * q, 1.0), |tail| heavy_tailed(q, tail));
             cost += value;
             if let Some(normal) = normal.as_deref_mut() {
                 normal.add_pair(t, a, b, residual, influence * weight);
@@ -238,27 +237,28 @@ impl Problem {
                 residual -= this.turn_rate * gap;
                 a[3].1 = -gap;
             }
-            tie(&a, &b, residual, prior::TILT_DRIFT, PELVIS);
+            tie(&a, &b, residual, prior::TILT_DRIFT, None);
         }
         let (this_place, next_place) = (relative_place(this.pelvis), relative_place(next.pelvis));
         for axis in 0..3 {
             let slopes = |of: DMat3, sign: f64| [0, 1, 2].map(|c| (Layout::PELVIS + c, sign * of.col(c)[axis]));
             let change = next_place.0[axis] - this_place.0[axis];
-            tie(&slopes(this_place.1, -1.0), &slopes(next_place.1, 1.0), change, prior::PELVIS_DRIFT, PELVIS);
+            tie(&slopes(this_place.1, -1.0), &slopes(next_place.1, 1.0), change, prior::PELVIS_DRIFT, None);
         }
         tie(
             &[(Layout::TURN_RATE, -1.0)],
             &[(Layout::TURN_RATE, 1.0)],
             next.turn_rate - this.turn_rate,
             prior::TURN_DRIFT,
-            PELVIS,
+            Some(prior::TURN_TAIL),
         );
         for p in self.prior.joints.iter().filter(|p| self.layout.joint_column(p.joint).is_some()) {
+            let tail = lively.moves(p.joint).then(|| prior::free_tail(p.joint));
             for axis in 0..3 {
                 let (before, mut a, n) = self.without_steps(t, this, p.joint, axis);
                 let (after, b, _) = self.without_steps(t + 1, next, p.joint, axis);
                 a.iter_mut().for_each(|slope| slope.1 = -slope.1);
-                tie(&a[..n], &b[..n], after - before, p.drift, p.joint);
+                tie(&a[..n], &b[..n], after - before, p.drift, tail);
             }
         }
         cost

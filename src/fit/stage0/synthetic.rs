@@ -40,6 +40,8 @@ pub struct Difficulty {
     pub step_degrees: f64,
     /// Swing of the turn's pace, 0..1.
     pub pace: f64,
+    /// For this part of the clip, in its middle, the person stands still.
+    pub stands: f64,
     /// The right hand lies on the hip in the last third of the clip.
     pub hand_on_hip: bool,
     /// The face stays towards the camera for so far, degrees, and comes round from the other side.
@@ -79,6 +81,7 @@ impl Default for Difficulty {
             swing_degrees: 5.0,
             step_degrees: 0.0,
             pace: 0.2,
+            stands: 0.0,
             hand_on_hip: false,
             looks_back_degrees: 0.0,
             betas: vec![0.3, 0.0, -0.4],
@@ -127,7 +130,9 @@ fn poses(how: &Difficulty) -> Vec<Pose> {
     let pose = |t: usize| {
         let at = t as f64 / last;
         let sway = |k: f64| (std::f64::consts::TAU * (at * (1.0 + 0.37 * k) + 0.21 * k)).sin();
-        let turned = at + how.pace / std::f64::consts::TAU * (std::f64::consts::TAU * at).sin();
+        let before = at.min(0.5 * (1.0 - how.stands));
+        let going = (before + (at - 0.5 * (1.0 + how.stands)).max(0.0)) / (1.0 - how.stands);
+        let turned = going + how.pace / std::f64::consts::TAU * (std::f64::consts::TAU * going).sin();
         let yaw = (how.start_degrees + how.turn_degrees * turned).to_radians();
         let swing = how.swing_degrees.to_radians();
         let mut theta = [DVec3::ZERO; N_JOINTS];

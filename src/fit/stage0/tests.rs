@@ -54,6 +54,14 @@ fn one_and_a_half_turns_at_a_varying_pace() {
     recovers(&how, 0.025, 8.0);
 }
 
+/// 13° and 21° where the pace changes as a Gaussian walk.
+#[test]
+fn a_turn_that_stops_and_goes_on() {
+    let once = Difficulty { stands: 0.17, pace: 0.0, dropped: 0.0, seed: 14, ..Difficulty::default() };
+    recovers(&once, 0.02, 9.0);
+    recovers(&Difficulty { frames: 90, turn_degrees: 1080.0, stands: 0.2, ..once }, 0.015, 10.0);
+}
+
 #[test]
 fn arms_that_swing() {
     recovers(&Difficulty { swing_degrees: 30.0, seed: 5, ..Difficulty::default() }, 0.03, 6.0);
