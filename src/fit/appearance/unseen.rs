@@ -20,14 +20,23 @@ const ROUNDS: usize = 200;
 /// The other half's colour against the mean of the neighbours': beyond some 1 / √0.03 ≈ 6 rings it outweighs them, so that
 /// borders have no seam and the middle of a large part is what its mirror image is.
 const MIRROR: f32 = 0.03;
-/// Points of a face that learn its colour; where many faces are unseen, the first of them alone.
-const POINTS: [[f32; 3]; 4] = [[1.0 / 3.0; 3], [0.8, 0.1, 0.1], [0.1, 0.8, 0.1], [0.1, 0.1, 0.8]];
+/// Points of a face that learn its colour, at most; where many faces are unseen, fewer, but one at least. As many as it has cells of
+/// the finest grid would be best: what is learnt at a few points alone is noise between them.
+const POINTS_A_FACE: usize = 48;
 /// What all of them count together, over a frame's pixels.
 const WEIGHT: f32 = 0.2;
 /// Points in all, but one a face at least, and those that a step looks at, about: where half of the body is unseen, all of them
 /// would cost more than the frames.
-const MAX_POINTS: usize = 8192;
+const MAX_POINTS: usize = 32768;
 const POINTS_A_STEP: f64 = 2048.0;
+
+/// Point `k` of a face, evenly spread for any number of them: the sequence R2 (Roberts 2018, "The unreasonable effectiveness of
+/// quasirandom sequences"), folded into the triangle.
+fn point(k: usize) -> [f32; 3] {
+    const PLASTIC: f64 = 1.324_717_957_244_746;
+    let [u, v] = [PLASTIC, PLASTIC * PLASTIC].map(|step| (0.5 + k as f64 / step).fract() as f32);
+    if u + v <= 1.0 { [u, v, 1.0 - u - v] } else { [1.0 - u, 1.0 - v, u + v - 1.0] }
+}
 
 /// Gives each face that is not `known` a colour (`[F, 3]`) between those of its neighbours and that of the face on the other
 /// side of the body, where that one is known. A part of the surface that touches nothing known keeps its colours.
@@ -136,35 +145,44 @@ pub struct Unseen {
     grad_coords: Buffer<f32>,
     loss: Buffer<f32>,
     n: usize,
+    /// Room for a step's points.
+    rows: usize,
+    /// The part of the points that a step looks at.
+    rate: f64,
 }
 
 impl Unseen {
-    /// Every one of `faces` learns its colour of `colours [F, 3]`; `None` where there are no faces. At most `max_points`
-    /// points are looked at.
-    pub fn new(gpu: &Gpu, faces: &[u32], colours: &[f32], max_points: usize) -> Option<Self> {
-        let of_face = &POINTS[..(MAX_POINTS / faces.len().max(1)).clamp(1, POINTS.len())];
-        let points = || faces.iter().flat_map(|&f| of_face.iter().map(move |&bary| (f, bary))).take(max_points);
+    /// Every one of `faces` learns its colour of `colours [F, 3]`; `None` where there are no faces. A step looks at `max_rows` points
+    /// at most.
+    pub fn new(gpu: &Gpu, faces: &[u32], colours: &[f32], max_rows: usize) -> Option<Self> {
+        let a_face = (MAX_POINTS / faces.len().max(1)).clamp(1, POINTS_A_FACE);
+        let points = || faces.iter().flat_map(|&f| (0..a_face).map(move |k| (f, point(k))));
         let n = points().count();
         if n == 0 {
             return None;
         }
+        // Twice what a step has in the mean: it never has more.
+        let rows = n.min(max_rows).min(2 * POINTS_A_STEP as usize);
+        let rate = (POINTS_A_STEP.min(0.5 * max_rows as f64) / n as f64).min(1.0);
         let byte = |f: u32| [0, 1, 2].map(|k| (255.0 * colours[3 * f as usize + k]).round().clamp(0.0, 255.0) as u8);
         let pix_to_face: Vec<i32> = points().map(|(f, _)| f as i32).collect();
         let bary: Vec<f32> = points().flat_map(|(_, bary)| bary).collect();
         let target: Vec<u32> = points().map(|(f, _)| pack_pixel(byte(f), 255)).collect();
         let zeros = |name: &str, len: usize| gpu.zeros::<f32>(&format!("fit/unseen/{name}"), len);
         Some(Self {
-            interpolate: Interpolate::new(gpu, n, n, 0),
+            interpolate: Interpolate::new(gpu, n, rows, 0),
             rgb: RgbL1::new(gpu, n),
             pix_to_face: gpu.upload("fit/unseen/pix_to_face", &pix_to_face),
             bary_coords: gpu.upload("fit/unseen/bary_coords", &bary),
             target: gpu.upload("fit/unseen/target", &target),
             image: zeros("image", RgbL1::room(n)),
             grad_image: zeros("grad_image", RgbL1::room(n)),
-            grad_rgb: zeros("grad_rgb", 3 * n),
-            grad_coords: zeros("grad_coords", 3 * n),
+            grad_rgb: zeros("grad_rgb", 3 * rows),
+            grad_coords: zeros("grad_coords", 3 * rows),
             loss: zeros("loss", 1),
             n,
+            rows,
+            rate,
         })
     }
 
@@ -179,10 +197,10 @@ impl Unseen {
         weight: f32,
         step: u32,
     ) {
-        let Self { interpolate, n, .. } = self;
-        let sampling = Sampling { rate: (POINTS_A_STEP / *n as f64).min(1.0), seed: step.wrapping_mul(0x9e37_79b9) };
+        let Self { interpolate, n, rows, .. } = self;
+        let sampling = Sampling { rate: self.rate, seed: step.wrapping_mul(0x9e37_79b9) };
         interpolate.forward(recorder, *n, &self.pix_to_face, &self.bary_coords, faces, texcoords, sampling);
-        model.forward(recorder, &interpolate.coords, &interpolate.count, *n);
+        model.forward(recorder, &interpolate.coords, &interpolate.count, *rows);
         interpolate.scatter(recorder, *n, model.rgb(), [0.0; 3], &self.image);
         let target = Target::Packed { pixels: &self.target, offset: 0, background: None };
         let lambda = WEIGHT * weight / (*n as f64 * sampling.rate) as f32;
@@ -190,7 +208,7 @@ impl Unseen {
         self.rgb.forward_backward(recorder, *n, &self.image, target, Pixels::All, slot, lambda, &self.grad_image);
         interpolate.gather(recorder, *n, &self.grad_image, &self.grad_rgb);
         recorder.clear(&self.grad_coords);
-        model.backward(recorder, &interpolate.coords, &interpolate.count, *n, &self.grad_rgb, &self.grad_coords);
+        model.backward(recorder, &interpolate.coords, &interpolate.count, *rows, &self.grad_rgb, &self.grad_coords);
     }
 }
 
@@ -251,6 +269,22 @@ mod tests {
         assert_eq!(known(&faces, &vertices, &[40.0, 2.0, 160.0]), [true, false, true]);
         assert_eq!(known(&faces, &vertices, &[40.0, 38.0, 20.0]), [true, true, false]);
         assert_eq!(known(&faces, &vertices, &[0.0; 3]), [false; 3]);
+    }
+
+    #[test]
+    fn any_number_of_points_of_a_face_are_spread_over_it() {
+        for n in [1, 4, 12, POINTS_A_FACE] {
+            let points: Vec<[f32; 3]> = (0..n).map(point).collect();
+            for at in &points {
+                assert!(at.iter().all(|&w| w >= 0.0) && (at.iter().sum::<f32>() - 1.0).abs() < 1e-6, "{at:?}");
+            }
+            let mean: [f32; 3] = std::array::from_fn(|k| points.iter().map(|at| at[k]).sum::<f32>() / n as f32);
+            assert!(n == 1 || mean.iter().all(|m| (m - 1.0 / 3.0).abs() < 0.12), "{n}: {mean:?}");
+            // No two lie nearer than a third of what a grid would have.
+            let apart = |a: &[f32; 3], b: &[f32; 3]| (a[0] - b[0]).hypot(a[1] - b[1]);
+            let nearest = points.iter().enumerate().flat_map(|(i, a)| points[..i].iter().map(move |b| apart(a, b)));
+            assert!(nearest.fold(1.0, f32::min) > 0.3 / (2.0 * n as f32).sqrt(), "{n}");
+        }
     }
 
     #[test]
