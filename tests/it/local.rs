@@ -29,6 +29,13 @@ fn a_folder_becomes_an_avatar_that_can_be_measured_and_rendered() {
     let theirs = out.join("work/theirs.txt");
     std::fs::write(&theirs, "not the fit's").unwrap();
 
+    let checkpoint = out.join(".effigy-work/stage1.npz");
+    std::fs::create_dir(checkpoint.parent().unwrap()).unwrap();
+    std::fs::write(&checkpoint, "of another body").unwrap();
+    let mistyped = effigy(&["fit", text(clip), "--body", "tset", "--out", text(&out)]);
+    assert!(!mistyped.status.success() && String::from_utf8_lossy(&mistyped.stderr).contains("tset"));
+    assert!(checkpoint.exists(), "a mistyped name costs no checkpoint");
+
     let fit =
         ["fit", text(clip), "--body", "test", "--preset", "draft", "--max-frames", "4", "--out", text(&out), "--json"];
     let lines: Vec<Value> = written(&fit).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
