@@ -92,6 +92,15 @@ impl Standing {
         self.edges.iter().filter_map(|&edge| crossing(edge)).collect()
     }
 
+    /// Width and depth of the surface at a height together, metres; 0 where there is none.
+    pub(super) fn extent(&self, along: f32) -> f32 {
+        let section = self.section(along);
+        let least = section.iter().copied().reduce(Vec2::min);
+        let most = section.iter().copied().reduce(Vec2::max);
+        let size = least.zip(most).map_or(Vec2::ZERO, |(least, most)| most - least);
+        size.x * self.half_width(along) + size.y
+    }
+
     /// Sets the offsets so that the body, by its present weights, has these vertices in this pose.
     pub(super) fn lay(&self, body: &Body, state: &mut FitState, vertices: &[Vec3]) {
         for (v, (offset, &vertex)) in state.offsets.as_chunks_mut::<3>().0.iter_mut().zip(vertices).enumerate() {

@@ -67,6 +67,39 @@ fn somebody_who_stands_astride_wears_trousers_until_much_is_closed() {
     assert!(Skirt::find(&body, &state).is_some());
 }
 
+/// Legs together, and cloth around both that hangs away from them: `flare` metres on all sides, from the crotch to the knees.
+fn flaring(body: &Body, flare: f32) -> FitState {
+    let mut state = standing(body);
+    for pose in state.poses.chunks_mut(N_POSE) {
+        (pose[APART[0]], pose[APART[1]]) = (-0.03, 0.03);
+    }
+    wear(body, &mut state, 0.5);
+    let standing = Standing::new(body, &state, &state.offsets);
+    let out = |v: usize| {
+        let (place, point) = (standing.place(v), Vec3::from(standing.posed.vertices[v]));
+        if standing.of_arm[v] || !(0.05..0.5).contains(&place.y) {
+            return point;
+        }
+        let [left, right] = standing.axes(place.y);
+        let away = Vec3::new(point.x - 0.5 * (left + right), 0.0, point.z);
+        point + flare * away.normalize_or_zero() * (1.0 - smoothstep(1.0 - 5.0 * away.x.abs()))
+    };
+    let vertices: Vec<Vec3> = (0..body.n_vertices()).map(out).collect();
+    standing.lay(body, &mut state, &vertices);
+    state
+}
+
+#[test]
+fn a_skirt_over_legs_that_are_close_is_told_by_how_it_flares() {
+    let body = Body::test_body();
+    let naked = Standing::new(&body, &flaring(&body, 0.0), &vec![0.0; 3 * body.n_vertices()]);
+    let gap = naked.section(0.45).iter().map(|p| p.x.abs()).fold(f32::INFINITY, f32::min);
+    assert!(2.0 * gap * naked.half_width(0.45) < GAP_M, "the legs are close");
+    assert_eq!(Skirt::find(&body, &flaring(&body, 0.015)), None, "trousers");
+    let hem = Skirt::find(&body, &flaring(&body, 0.06)).expect("a skirt").hem;
+    assert!((0.35..0.55).contains(&hem), "{hem}");
+}
+
 #[test]
 fn legs_that_touch_are_no_skirt() {
     let body = Body::test_body();
