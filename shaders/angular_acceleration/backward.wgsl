@@ -12,8 +12,9 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> values: array<f32>; // [N, K]
-@group(0) @binding(2) var<storage, read> spacing: array<f32>; // [N, 2]: beta, alpha
-@group(0) @binding(3) var<storage, read_write> grads: array<f32>; // [N, K]
+@group(0) @binding(2) var<storage, read> expected: array<f32>; // [N, 3]
+@group(0) @binding(3) var<storage, read> spacing: array<f32>; // [N, 2]: beta, alpha
+@group(0) @binding(4) var<storage, read_write> grads: array<f32>; // [N, K]
 
 fn vector(frame: u32) -> vec3<f32> {
     let at = frame * params.stride;
@@ -36,14 +37,17 @@ fn turn(frame: u32) -> Turn {
     return Turn(s, q[0][0] + q[1][1] + q[2][2] >= params.least_trace);
 }
 
-// alpha s of a frame less beta s of the frame before; zero at the clip's ends and beside a gap.
+// alpha s of a frame less beta s of the frame before, beyond the expected one; zero at the clip's ends and beside a gap.
 fn acceleration(frame: u32) -> vec3<f32> {
     if frame == 0u || frame + 1u >= params.n_frames {
         return vec3<f32>(0.0);
     }
     let before = turn(frame - 1u);
     let after = turn(frame);
-    return select(vec3<f32>(0.0), spacing[2u * frame + 1u] * after.s - spacing[2u * frame] * before.s, before.known && after.known);
+    let at = 3u * frame;
+    let usual = vec3<f32>(expected[at], expected[at + 1u], expected[at + 2u]);
+    let beyond = spacing[2u * frame + 1u] * after.s - spacing[2u * frame] * before.s - usual;
+    return select(vec3<f32>(0.0), beyond, before.known && after.known);
 }
 
 // The gradient by Q of the turn from a frame to the next.

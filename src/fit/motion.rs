@@ -10,7 +10,7 @@ use crate::body::joints::{
 use crate::body::{N_JOINTS, N_POSE};
 use crate::gpu::{Gpu, Recorder};
 use crate::ops::anchor::{Anchor, AnchorConfig};
-use crate::ops::angular_acceleration::{AngularAcceleration, AngularAccelerationConfig};
+use crate::ops::angular_acceleration::{self, AngularAcceleration, AngularAccelerationConfig, Given};
 use crate::ops::temporal::{Temporal, TemporalConfig, spacing};
 
 /// Changes from one frame to the next above these are no motion: radians, metres.
@@ -21,7 +21,7 @@ pub const PLACE_JUMP: f32 = 0.1;
 const POSE_ACCELERATION: f64 = 0.03;
 const PLACE_ACCELERATION: f64 = 0.005;
 
-/// Accelerations of joints above so many usual ones are no noise: a leg steps.
+/// Accelerations above so many usual ones are no noise: a leg steps, a turn stops, weight goes to the other foot.
 const STEP: f64 = 3.0;
 
 /// A person does not turn faster from one frame to the next, radians: more is a gap in the clip.
@@ -86,9 +86,9 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// `start [N, 72]`: the poses that the joints are held near, and whose steps go on. `times [N]`: when the frames were
-    /// taken, in any unit.
-    pub fn new(gpu: &Gpu, start: &[f32], times: &[f64]) -> Self {
+    /// `start [N, 72]`: the poses that the joints are held near, `places [N, 3]`: where the person stands in them; what moves
+    /// quickly there is expected to. `times [N]`: when the frames were taken, in any unit.
+    pub fn new(gpu: &Gpu, start: &[f32], places: &[f32], times: &[f64]) -> Self {
         let spacing = &spacing(times);
         let usual = acceleration(start.len() / N_POSE);
         let stride = N_POSE;
@@ -97,11 +97,12 @@ impl Motion {
         let joints = TemporalConfig { stride, first: 3, scale, max_change };
         let (scale, max_change) = (PLACE_ACCELERATION * usual, PLACE_JUMP.into());
         let transl = TemporalConfig { stride: 3, first: 0, scale, max_change };
+        let turns = angular_acceleration::cpu::large(&root, start, spacing, STEP * root.scale);
         let anchor = AnchorConfig { scales: anchor_scales(start).as_flattened().to_vec() };
         Self {
-            root: AngularAcceleration::new(gpu, root, spacing),
+            root: AngularAcceleration::new(gpu, root, Given { expected: &turns, spacing }),
             joints: Temporal::new(gpu, joints, &steps(start, stride, spacing, STEP * joints.scale), spacing),
-            transl: Temporal::new(gpu, transl, &vec![0.0; start.len() / N_JOINTS], spacing),
+            transl: Temporal::new(gpu, transl, &steps(places, 3, spacing, STEP * transl.scale), spacing),
             anchor: Anchor::new(gpu, &anchor, start),
         }
     }

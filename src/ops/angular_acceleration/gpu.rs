@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::AngularAccelerationConfig;
+use super::{AngularAccelerationConfig, Given};
 use crate::gpu::{Buffer, Gpu, Kernel, Recorder, linear_groups};
 use crate::ops::temporal::upload_spacing;
 
@@ -19,14 +19,15 @@ struct Params {
 pub struct AngularAcceleration {
     backward: Arc<Kernel>,
     config: AngularAccelerationConfig,
+    expected: Buffer<f32>,
     spacing: Buffer<f32>,
 }
 
 impl AngularAcceleration {
-    /// `spacing [N, 2]`
-    pub fn new(gpu: &Gpu, config: AngularAccelerationConfig, spacing: &[[f64; 2]]) -> Self {
+    pub fn new(gpu: &Gpu, config: AngularAccelerationConfig, given: Given<'_, f32>) -> Self {
         let backward = kernel!(gpu, "angular_acceleration/backward");
-        Self { backward, config, spacing: upload_spacing(gpu, spacing) }
+        let expected = gpu.upload("angular_acceleration/expected", given.expected);
+        Self { backward, config, expected, spacing: upload_spacing(gpu, given.spacing) }
     }
 
     /// Records `grads += weight · ∂L/∂values`.
@@ -37,13 +38,19 @@ impl AngularAcceleration {
         let AngularAccelerationConfig { stride, scale, max_turn } = self.config;
         assert!(values.len() == grads.len() && values.len().is_multiple_of(stride), "{}: length", values.label());
         let n_frames = values.len() / stride;
-        assert_eq!(self.spacing.len(), 2 * n_frames, "{}: frames", values.label());
+        let given = (self.expected.len(), self.spacing.len());
+        assert_eq!(given, (3 * n_frames, 2 * n_frames), "{}: frames", values.label());
         let params = Params {
             n_frames: n_frames as u32,
             stride: stride as u32,
             factor: (2.0 / (scale * scale)) as f32 * weight,
             least_trace: (1.0 + 2.0 * max_turn.cos()) as f32,
         };
-        recorder.dispatch(&self.backward, &params, &[values, &self.spacing, grads], linear_groups(n_frames, 64));
+        recorder.dispatch(
+            &self.backward,
+            &params,
+            &[values, &self.expected, &self.spacing, grads],
+            linear_groups(n_frames, 64),
+        );
     }
 }

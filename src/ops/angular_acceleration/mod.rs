@@ -3,10 +3,11 @@
 //! | buffer | shape | role |
 //! |---|---|---|
 //! | `values` | `[N, K]` | one row a frame, in the order of time; the first three numbers are a rotation vector (radians) |
+//! | `expected` | `[N, 3]` | accelerations that cost nothing, in the body's own axes |
 //! | `spacing` | `[N, 2]` | β and α of each frame, see [`temporal::spacing`](super::temporal::spacing) |
 //! | `grads` | `[N, K]` | `backward` adds `λ ∂L/∂values` to the first three numbers of each row |
 //!
-//! `L = Σ_i |(α_i s_i − β_i s_{i−1}) / scale|²` over the inner frames, `s_i` the turn from frame i to the next in the body's own
+//! `L = Σ_i |(α_i s_i − β_i s_{i−1} − e_i) / scale|²` over the inner frames, `s_i` the turn from frame i to the next in the body's own
 //! axes: of `Q = R_iᵀ R_{i+1}` the vector `½ (Q₂₁ − Q₁₂, Q₀₂ − Q₂₀, Q₁₀ − Q₀₁)`, which points along Q's axis and is the sine
 //! of its angle long. A turn of more than `max_turn` is a gap in the clip, and what meets there costs nothing.
 //!
@@ -17,6 +18,7 @@
 pub mod cpu;
 mod gpu;
 
+pub use super::temporal::cpu::Given;
 pub use gpu::AngularAcceleration;
 
 /// The constants of the penalty.

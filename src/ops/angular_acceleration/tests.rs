@@ -2,7 +2,7 @@ use std::f64::consts::PI;
 
 use glam::{DMat3, DQuat};
 
-use super::{AngularAcceleration, AngularAccelerationConfig, cpu};
+use super::{AngularAcceleration, AngularAccelerationConfig, Given, cpu};
 use crate::ops::temporal::{self, TemporalConfig};
 use crate::ops::testing::{assert_close, assert_gradient, f32s, gpu, random};
 
@@ -24,6 +24,13 @@ fn even(n: usize) -> Vec<[f64; 2]> {
     temporal::spacing(&(0..n).map(|i| i as f64).collect::<Vec<_>>())
 }
 
+/// Nothing expected of up to 24 frames.
+const NONE: [f64; 72] = [0.0; 72];
+
+fn given(spacing: &[[f64; 2]]) -> Given<'_, f64> {
+    Given { expected: &NONE, spacing }
+}
+
 /// Times of nine frames that follow unevenly.
 const UNEVEN: [f64; 9] = [0.0, 1.0, 3.0, 4.0, 6.0, 9.0, 10.0, 11.0, 13.0];
 
@@ -38,10 +45,13 @@ fn swaying() -> Vec<f64> {
 #[test]
 fn the_gradient_is_that_of_the_penalty_also_beside_a_gap() {
     let values = swaying();
-    for spacing in [even(9), temporal::spacing(&UNEVEN)] {
+    let expected = random(7, 27);
+    for (spacing, expected) in [(even(9), &NONE[..27]), (temporal::spacing(&UNEVEN), &NONE[..27]), (even(9), &expected)]
+    {
         let mut grads = vec![0.0; values.len()];
-        cpu::backward(&CONFIG, &values, &spacing, 1.0, &mut grads);
-        assert_gradient("values", &values, &grads, |x| cpu::forward(&CONFIG, x, &spacing));
+        let given = Given { expected, spacing: &spacing };
+        cpu::backward(&CONFIG, &values, given, 1.0, &mut grads);
+        assert_gradient("values", &values, &grads, |x| cpu::forward(&CONFIG, x, given));
         assert!(grads.chunks(CONFIG.stride).all(|row| row[3..] == [0.0; 2]), "the rest of a row has no part in it");
         let turn_of = |frame: usize| &grads[CONFIG.stride * frame..][..3];
         assert!((0..9).all(|frame| turn_of(frame) != [0.0; 3]));
@@ -55,11 +65,11 @@ fn steady_turning_costs_nothing_however_one_leans() {
     let of_body: Vec<f64> = rows(3, (0..20).map(|t| upright(0.3 * f64::from(t)) * lean));
     let of_world: Vec<f64> = rows(3, (0..20).map(|t| lean * upright(0.3 * f64::from(t))));
     for values in [&of_body, &of_world] {
-        assert!(cpu::forward(&config, values, &even(20)) < 1e-20);
+        assert!(cpu::forward(&config, values, given(&even(20))) < 1e-20);
     }
     let nodding =
         rows(3, (0..20).map(|t| upright(0.3 * f64::from(t)) * DMat3::from_rotation_x(0.1 * f64::from(t % 2))));
-    assert!(cpu::forward(&config, &nodding, &even(20)) > 5.0);
+    assert!(cpu::forward(&config, &nodding, given(&even(20))) > 5.0);
 }
 
 #[test]
@@ -68,7 +78,7 @@ fn turning_is_as_steady_as_it_is_in_time() {
     let turn = rows(3, UNEVEN.iter().map(|t| upright(0.1 * t)));
     let (uneven, even) = (temporal::spacing(&UNEVEN), even(9));
     // The sine of a turn is not quite the turn.
-    let cost = |spacing: &[[f64; 2]]| cpu::forward(&config, &turn, spacing);
+    let cost = |spacing: &[[f64; 2]]| cpu::forward(&config, &turn, given(spacing));
     assert!(cost(&uneven) < 1e-3 * cost(&even) && cost(&even) > 0.5, "{} and {}", cost(&uneven), cost(&even));
 }
 
@@ -77,7 +87,7 @@ fn turning_is_as_steady_as_it_is_in_time() {
 fn the_ends_of_a_steady_turn_are_left_alone() {
     let turn = rows(3, (0..24).map(|t| upright(PI / 12.0 * (f64::from(t) - 11.5))));
     let mut grads = vec![0.0; turn.len()];
-    cpu::backward(&AngularAccelerationConfig { stride: 3, ..CONFIG }, &turn, &even(24), 1.0, &mut grads);
+    cpu::backward(&AngularAccelerationConfig { stride: 3, ..CONFIG }, &turn, given(&even(24)), 1.0, &mut grads);
     assert!(grads.iter().all(|g| g.abs() < 1e-12), "{grads:?}");
     temporal::cpu::backward(
         &TemporalConfig { stride: 3, first: 0, scale: 0.3, max_change: 1.0 },
@@ -91,12 +101,27 @@ fn the_ends_of_a_steady_turn_are_left_alone() {
 }
 
 #[test]
+fn what_is_expected_costs_nothing_and_what_is_small_is_not() {
+    let config = AngularAccelerationConfig { stride: 3, ..CONFIG };
+    // Steady, then still, with a tremble.
+    let angle = |t: usize| 0.3 * t.min(5) as f64 + 0.01 * (t % 2) as f64;
+    let stops = rows(3, (0..10).map(|t| upright(angle(t))));
+    let spacing = even(10);
+    let large = cpu::large(&config, &stops, &spacing, 0.1);
+    let at: Vec<usize> = (0..10).filter(|t| large[3 * t..][..3] != [0.0; 3]).collect();
+    assert_eq!(at, [5], "{large:?}");
+    let cost = |expected: &[f64]| cpu::forward(&config, &stops, Given { expected, spacing: &spacing });
+    let (left, whole) = (cost(&large), cost(&NONE[..30]));
+    assert!(left > 0.0 && left < 0.05 * whole, "{left} of {whole}");
+}
+
+#[test]
 fn two_frames_have_no_acceleration() {
     let mut grads = vec![0.0; 10];
-    cpu::backward(&CONFIG, &swaying()[..10], &even(2), 1.0, &mut grads);
+    cpu::backward(&CONFIG, &swaying()[..10], given(&even(2)), 1.0, &mut grads);
     assert_eq!(grads, [0.0; 10]);
-    cpu::backward(&CONFIG, &[], &[], 1.0, &mut []);
-    assert_eq!(cpu::forward::<f64>(&CONFIG, &[], &[]), 0.0);
+    cpu::backward(&CONFIG, &[], given(&[]), 1.0, &mut []);
+    assert_eq!(cpu::forward(&CONFIG, &[], given(&[])), 0.0);
 }
 
 #[test]
@@ -104,11 +129,12 @@ fn gpu_matches_the_twin() {
     let Some(gpu) = gpu("angular_acceleration::gpu_matches_the_twin") else { return };
     let values = f32s(&swaying());
     let mut want = vec![1.0f32; values.len()];
-    let spacing = temporal::spacing(&UNEVEN);
-    cpu::backward(&CONFIG, &values, &spacing, 0.7, &mut want);
+    let (expected, spacing) = (f32s(&random(7, 27)), temporal::spacing(&UNEVEN));
+    let given = Given { expected: &expected, spacing: &spacing };
+    cpu::backward(&CONFIG, &values, given, 0.7, &mut want);
     let (values, grads) = (gpu.upload("values", &values), gpu.upload("grads", &vec![1.0f32; want.len()]));
     let mut recorder = gpu.recorder("angular_acceleration/test");
-    AngularAcceleration::new(&gpu, CONFIG, &spacing).backward(&mut recorder, &values, 0.7, &grads);
+    AngularAcceleration::new(&gpu, CONFIG, given).backward(&mut recorder, &values, 0.7, &grads);
     recorder.submit().unwrap();
     assert_close("grads", &gpu.read(&grads).unwrap(), &want, 1e-5);
 }
