@@ -141,7 +141,7 @@ pub struct Problem {
     pub points: Vec<Point>,
     /// `[N][K]`
     pub observations: Vec<Vec<Observation>>,
-    /// `[N − 1]`: time to the next frame, in hundredths of the clip.
+    /// `[N − 1]`: time to the next frame, in hundredths of the clip, or of a turn where it has several.
     pub gaps: Vec<f64>,
     pub surface: Vec<Point>,
     /// `[N]`, empty before masks are used.

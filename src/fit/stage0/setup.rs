@@ -1,5 +1,7 @@
 //! From a capture to problems with a first guess each.
 
+use std::f64::consts::TAU;
+
 use glam::{DMat3, DVec2, DVec3};
 
 use super::habits::Habits;
@@ -144,6 +146,8 @@ fn candidate(mut problem: Problem, reading: &Placement) -> Candidate {
             sides::swap_group(&mut problem, t, group);
         }
     }
+    let turns = reading.yaws.first().zip(reading.yaws.last()).map_or(0.0, |(first, last)| (last - first).abs() / TAU);
+    problem.gaps.iter_mut().for_each(|gap| *gap *= turns.max(1.0));
     let state = first_state(&problem, reading);
     let scales = rough_scales(&problem, &state);
     Candidate { problem, state, swapped, hidden: Vec::new(), scales, cost: f64::INFINITY }
