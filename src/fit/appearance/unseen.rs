@@ -34,7 +34,7 @@ const POINTS_A_STEP: f64 = 2048.0;
 /// quasirandom sequences"), folded into the triangle.
 fn point(k: usize) -> [f32; 3] {
     const PLASTIC: f64 = 1.324_717_957_244_746;
-    let [u, v] = [PLASTIC, PLASTIC * PLASTIC].map(|step| (0.5 + k as f64 / step).fract() as f32);
+    let [u, v] = [PLASTIC, PLASTIC * PLASTIC].map(|step| (0.5 + (k + 1) as f64 / step).fract() as f32);
     if u + v <= 1.0 { [u, v, 1.0 - u - v] } else { [1.0 - u, 1.0 - v, u + v - 1.0] }
 }
 

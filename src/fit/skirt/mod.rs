@@ -33,8 +33,8 @@ const GAP_M: f32 = 0.1;
 /// close below the crotch, which any trousers close. Skirts close 11 cm of it, trousers 3 at most.
 const HUNG_GAP_M: f32 = 0.04;
 /// Legs that stand close leave no such gap. There cloth is a skirt where, closed, it is by this much wider and deeper together than the naked
-/// legs, metres, from this far below the hip on. Skirts, dresses and coats are by 12 to 20 cm, trousers that are closed by 5 at most, wide
-/// ones that are not by 8.
+/// legs, metres, from this far below the hip on. Skirts, dresses and coats are by 17 cm and more, trousers that are closed by 5 at most,
+/// wide ones that are not by 8.
 const FLARE_M: f32 = 0.11;
 const FLARE_FROM: f32 = 0.25;
 /// Height over which filling begins below the hip, and filling and carrying end at the hem, of a leg's length.
