@@ -59,10 +59,10 @@ impl Cards {
 /// The page of a finished report.
 pub(super) fn html(report: &Report, cards: &Cards) -> String {
     let mut page = Page::new("Evaluation");
-    let shown = report.shape_rows().into_iter().filter_map(|(name, value, unit, digits)| {
-        let value = value?;
-        Some((name.to_owned(), format!("{value:.digits$} {unit}").trim_end().to_owned()))
-    });
+    let shown = report
+        .shape_rows()
+        .into_iter()
+        .map(|(name, value, unit, digits)| (name.to_owned(), format!("{value:.digits$} {unit}").trim_end().to_owned()));
     page.figures(&shown.collect::<Vec<_>>());
     page.heading("Pictures, means");
     let head = [

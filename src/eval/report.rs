@@ -166,10 +166,10 @@ impl Report {
         ]
     }
 
-    /// Names, values and units of what is no picture.
-    pub fn shape_rows(&self) -> [(&'static str, Option<f64>, &'static str, usize); 9] {
+    /// Names, values, units and digits of what is no picture, where there was a truth to compare with.
+    pub fn shape_rows(&self) -> Vec<(&'static str, f64, &'static str, usize)> {
         let s = &self.summary;
-        [
+        let rows = [
             ("truth over ours", s.scale, "", 4),
             ("training masks, IoU", s.mask_iou, "", 4),
             ("Chamfer, mean of both directions", s.chamfer_cm, "cm", 3),
@@ -179,7 +179,8 @@ impl Report {
             ("unaligned: point to surface", s.unaligned_point_to_surface_cm, "cm", 3),
             ("joints, mean error", s.joints_cm, "cm", 2),
             ("joints, pelvis aligned", s.joints_root_aligned_cm, "cm", 2),
-        ]
+        ];
+        rows.into_iter().filter_map(|(name, value, unit, digits)| Some((name, value?, unit, digits))).collect()
     }
 
     /// Names and means of the sets of pictures that there are: PSNR and SSIM on white, on black and of the foreground, FLIP
@@ -213,9 +214,22 @@ impl Report {
             text.push('\n');
         }
         for (name, value, unit, digits) in self.shape_rows() {
-            let value = value.map_or("—".to_owned(), |v| format!("{v:.digits$} {unit}"));
+            let value = format!("{value:.digits$} {unit}");
             text += &format!("{name:<50} {:>12}\n", value.trim_end());
         }
         text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_has_rows_of_what_there_was_to_compare_with() {
+        let summary = Summary { mask_iou: Some(0.98765), joints_cm: Some(2.0), ..Summary::default() };
+        let table = Report { summary, ..Report::default() }.table();
+        let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split_whitespace().collect()).collect();
+        assert_eq!(rows, [vec!["training", "masks,", "IoU", "0.9877"], vec!["joints,", "mean", "error", "2.00", "cm"]]);
     }
 }
