@@ -201,7 +201,8 @@ fn telling(config: &Config) -> Check {
     match spans.transpose() {
         Err(error) => Check::failed("log", format!("{error:#}"), "write it as `http://127.0.0.1:4318`"),
         Ok(None) => Check::ok("log", config.log.clone()),
-        Ok(Some(url)) => Check::ok("log", format!("{}, spans to {url}", config.log)),
+        // Not the whole address: it may hold a password.
+        Ok(Some(url)) => Check::ok("log", format!("{}, spans to {}", config.log, url.origin().ascii_serialization())),
     }
 }
 

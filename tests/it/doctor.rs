@@ -120,6 +120,11 @@ fn a_machine_that_has_all_is_well() {
         let told = check(&report, "log");
         assert!(told["state"] == "failed" && told["found"].as_str().unwrap().contains(wrong), "{told}");
     }
+    let (_, report) = doctor(data.path(), |command| {
+        command.arg("--otlp-endpoint=http://me:secret@127.0.0.1:4318");
+    });
+    let told = check(&report, "log")["found"].to_string();
+    assert!(told.contains("spans to http://127.0.0.1:4318") && !told.contains("secret"), "{told}");
 }
 
 #[test]
