@@ -56,7 +56,7 @@ pub const PELVIS_DRIFT: f64 = 0.003;
 /// Change of the turn rate over one unit of time, radians a unit.
 pub const TURN_DRIFT: f64 = 0.005;
 /// Degrees of freedom of that: who stops and goes on does so at once, and pays for it once.
-pub const TURN_TAIL: f64 = 2.0;
+pub const TURN_TAIL: f64 = 4.0;
 /// Spread of the body's up axis about the camera's, radians.
 pub const UPRIGHT_SIGMA: f64 = 0.35;
 /// The world's mean height of adults, metres: men 1.71, women 1.59 (NCD-RisC 2016, born in 1996). A body's mean shape need
