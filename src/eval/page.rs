@@ -59,11 +59,8 @@ impl Cards {
 /// The page of a finished report.
 pub(super) fn html(report: &Report, cards: &Cards) -> String {
     let mut page = Page::new("Evaluation");
-    let shown = report
-        .shape_rows()
-        .into_iter()
-        .map(|(name, value, unit, digits)| (name.to_owned(), format!("{value:.digits$} {unit}").trim_end().to_owned()));
-    page.figures(&shown.collect::<Vec<_>>());
+    let shown: Vec<_> = report.shape_rows().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+    page.figures(&shown);
     page.heading("Pictures, means");
     let head = [
         "",

@@ -166,8 +166,8 @@ impl Report {
         ]
     }
 
-    /// Names, values, units and digits of what is no picture, where there was a truth to compare with.
-    pub fn shape_rows(&self) -> Vec<(&'static str, f64, &'static str, usize)> {
+    /// Names and values with their units of what is no picture, where there was a truth to compare with.
+    pub fn shape_rows(&self) -> Vec<(&'static str, String)> {
         let s = &self.summary;
         let rows = [
             ("truth over ours", s.scale, "", 4),
@@ -180,7 +180,10 @@ impl Report {
             ("joints, mean error", s.joints_cm, "cm", 2),
             ("joints, pelvis aligned", s.joints_root_aligned_cm, "cm", 2),
         ];
-        rows.into_iter().filter_map(|(name, value, unit, digits)| Some((name, value?, unit, digits))).collect()
+        let row = |(name, value, unit, digits): (_, Option<f64>, _, usize)| {
+            Some((name, format!("{:.digits$} {unit}", value?).trim_end().to_owned()))
+        };
+        rows.into_iter().filter_map(row).collect()
     }
 
     /// Names and means of the sets of pictures that there are: PSNR and SSIM on white, on black and of the foreground, FLIP
@@ -213,9 +216,8 @@ impl Report {
             text += &values[8].map_or(String::new(), |v| format!("   LPIPS {v:.4}"));
             text.push('\n');
         }
-        for (name, value, unit, digits) in self.shape_rows() {
-            let value = format!("{value:.digits$} {unit}");
-            text += &format!("{name:<50} {:>12}\n", value.trim_end());
+        for (name, value) in self.shape_rows() {
+            text += &format!("{name:<50} {value:>12}\n");
         }
         text
     }

@@ -98,11 +98,13 @@ impl Motion {
         let (scale, max_change) = (PLACE_ACCELERATION * usual, PLACE_JUMP.into());
         let transl = TemporalConfig { stride: 3, first: 0, scale, max_change };
         let turns = angular_acceleration::cpu::large(&root, start, spacing, STEP * root.scale);
+        let bends = steps(start, stride, spacing, STEP * joints.scale);
+        let moves = steps(places, 3, spacing, STEP * transl.scale);
         let anchor = AnchorConfig { scales: anchor_scales(start).as_flattened().to_vec() };
         Self {
             root: AngularAcceleration::new(gpu, root, Given { expected: &turns, spacing }),
-            joints: Temporal::new(gpu, joints, &steps(start, stride, spacing, STEP * joints.scale), spacing),
-            transl: Temporal::new(gpu, transl, &steps(places, 3, spacing, STEP * transl.scale), spacing),
+            joints: Temporal::new(gpu, joints, Given { expected: &bends, spacing }),
+            transl: Temporal::new(gpu, transl, Given { expected: &moves, spacing }),
             anchor: Anchor::new(gpu, &anchor, start),
         }
     }

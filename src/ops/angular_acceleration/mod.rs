@@ -18,7 +18,7 @@
 pub mod cpu;
 mod gpu;
 
-pub use super::temporal::cpu::Given;
+pub use super::temporal::Given;
 pub use gpu::AngularAcceleration;
 
 /// The constants of the penalty.

@@ -92,7 +92,7 @@ fn the_ends_of_a_steady_turn_are_left_alone() {
     temporal::cpu::backward(
         &TemporalConfig { stride: 3, first: 0, scale: 0.3, max_change: 1.0 },
         &turn,
-        temporal::cpu::Given { expected: &vec![0.0; turn.len()], spacing: &even(24) },
+        Given { expected: &vec![0.0; turn.len()], spacing: &even(24) },
         1.0,
         &mut grads,
     );

@@ -1,16 +1,7 @@
 //! Reference twin.
 
-use super::TemporalConfig;
+use super::{Given, TemporalConfig};
 use crate::ops::Real;
-
-/// What is given beside the values: accelerations that are expected, and the frames' spacing.
-#[derive(Clone, Copy)]
-pub struct Given<'a, T> {
-    /// `[N, K]`
-    pub expected: &'a [T],
-    /// `[N, 2]`
-    pub spacing: &'a [[f64; 2]],
-}
 
 /// Beyond the expected one.
 fn acceleration<T: Real>(config: &TemporalConfig, values: &[T], given: Given<'_, T>, frame: usize, k: usize) -> T {

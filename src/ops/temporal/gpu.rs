@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::TemporalConfig;
+use super::{Given, TemporalConfig};
 use crate::gpu::{Buffer, Gpu, Kernel, Recorder, linear_groups};
 
 #[repr(C)]
@@ -31,14 +31,13 @@ pub struct Temporal {
 }
 
 impl Temporal {
-    /// `expected [N, K]`, `spacing [N, 2]`
-    pub fn new(gpu: &Gpu, config: TemporalConfig, expected: &[f32], spacing: &[[f64; 2]]) -> Self {
+    pub fn new(gpu: &Gpu, config: TemporalConfig, given: Given<'_, f32>) -> Self {
         let source = include_str!("../../../shaders/temporal/backward.wgsl");
         Self {
             backward: gpu.kernel("temporal/backward", source, &[]),
             config,
-            expected: gpu.upload("temporal/expected", expected),
-            spacing: upload_spacing(gpu, spacing),
+            expected: gpu.upload("temporal/expected", given.expected),
+            spacing: upload_spacing(gpu, given.spacing),
         }
     }
 

@@ -32,6 +32,15 @@ pub struct TemporalConfig {
     pub max_change: f64,
 }
 
+/// What is given beside the values: accelerations that are expected, and the frames' spacing.
+#[derive(Clone, Copy)]
+pub struct Given<'a, T> {
+    /// `[N, K]`, of a rotation `[N, 3]`
+    pub expected: &'a [T],
+    /// `[N, 2]`
+    pub spacing: &'a [[f64; 2]],
+}
+
 /// What the changes before and after each frame are multiplied with in its acceleration, of frames at `times [N]`: the second
 /// divided difference, times two, in units of the mean time from frame to frame. Zeros in the first and the last frame, and where
 /// a neighbour is not earlier and later: several pictures of one moment tell of no motion.

@@ -1,5 +1,4 @@
-use super::cpu::Given;
-use super::{Temporal, TemporalConfig, cpu, spacing};
+use super::{Given, Temporal, TemporalConfig, cpu, spacing};
 use crate::ops::testing::{assert_close, assert_gradient, gpu};
 
 const CONFIG: TemporalConfig = TemporalConfig { stride: 4, first: 0, scale: 0.3, max_change: 1.0 };
@@ -122,7 +121,12 @@ fn gpu_matches_the_twin() {
         cpu::backward(&config, &values, given, 0.7, &mut want);
         let (values, grads) = (gpu.upload("values", &values), gpu.upload("grads", &vec![1.0f32; want.len()]));
         let mut recorder = gpu.recorder("temporal/test");
-        Temporal::new(&gpu, config, &expected, &uneven()).backward(&mut recorder, &values, 0.7, &grads);
+        Temporal::new(&gpu, config, Given { expected: &expected, spacing: &uneven() }).backward(
+            &mut recorder,
+            &values,
+            0.7,
+            &grads,
+        );
         recorder.submit().unwrap();
         assert_close("grads", &gpu.read(&grads).unwrap(), &want, 1e-5);
     }
