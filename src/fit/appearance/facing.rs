@@ -25,11 +25,16 @@ pub fn facing_pixels(
     let mut recorder = gpu.recorder("fit/facing");
     scene.forward(&mut recorder, images, poses.at(frame));
     recorder.submit()?;
-    let (view, pix_to_face) = (gpu.read(&scene.view)?, gpu.read(&scene.hard.pix_to_face)?);
-    let cosines: Vec<f64> = faces.iter().map(|face| cosine(&view, face)).collect();
+    let (cosines, pix_to_face) = (cosines(scene, faces)?, gpu.read(&scene.hard.pix_to_face)?);
     let pixels: Vec<[u8; 4]> = gpu.read(&images.target)?.into_iter().map(u32::to_le_bytes).collect();
     let inside = well_inside(&pixels, images.width as usize);
     Ok(PixelList::weighted(gpu, "fit/facing", &weights(inside, &pix_to_face, &cosines)))
+}
+
+/// Of each face's normal and the way to the camera, as the scene is seen in its last hard image. Waits.
+pub fn cosines(scene: &Scene, faces: &[[u32; 3]]) -> Result<Vec<f64>, GpuError> {
+    let view = scene.gpu.read(&scene.view)?;
+    Ok(faces.iter().map(|face| cosine(&view, face)).collect())
 }
 
 /// What each pixel counts; `pix_to_face` may go on beyond the image.

@@ -15,6 +15,7 @@ mod texture;
 mod unseen;
 
 pub use faces::FaceColours;
+pub use facing::cosines;
 pub use lit::Lit;
 pub use mean_colours::{solve_face_colours, well_inside};
 pub use shadows::cast_shadows;

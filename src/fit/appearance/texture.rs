@@ -190,6 +190,36 @@ impl Texture {
     fn faces<'a>(&'a self, scene: &'a Scene) -> &'a Buffer<u32> {
         self.uv_faces.as_ref().unwrap_or(&scene.corners.faces)
     }
+
+    /// Records the colours of some of the `n` pixels of the scene's last hard image, in the frame's light; others are the background.
+    fn show(&self, recorder: &mut Recorder<'_>, scene: &Scene, frame: usize, n: usize, sampling: Sampling) {
+        let Self { model, interpolate, .. } = self;
+        let (hard, faces, texcoords) = (&scene.hard, self.faces(scene), &self.texcoords.values);
+        interpolate.forward(recorder, n, &hard.pix_to_face, &hard.bary_coords, faces, texcoords, sampling);
+        model.forward(recorder, &interpolate.coords, &interpolate.count, interpolate.n_max(n));
+        let shown = match &self.lit {
+            Some(LitTexture { lit, parts, shaded, .. }) => {
+                lit.pixel_parts(recorder, scene, frame, interpolate, n, parts);
+                lit.pixels(recorder, interpolate, n, parts, model.rgb(), shaded, Write::Cut);
+                shaded
+            }
+            None => model.rgb(),
+        };
+        interpolate.scatter(recorder, n, shown, BACKGROUND, &self.image);
+    }
+
+    /// `[P, 3]`: what a frame looks like. Of a texture whose configuration limits its pixels not all of them are drawn. Waits.
+    pub fn draw(&self, scene: &Scene, poses: &PoseGroups, frame: usize) -> Result<Vec<[f32; 3]>, FitError> {
+        let level = &scene.frames[frame].levels[0];
+        let mut recorder = scene.gpu.recorder("fit/draw");
+        scene.forward(&mut recorder, level, poses.at(frame));
+        self.start_frame(&mut recorder, scene, frame);
+        self.show(&mut recorder, scene, frame, level.camera.n_pixels(), Sampling::ALL);
+        recorder.submit()?;
+        let mut image = scene.gpu.read(&self.image)?.as_chunks().0.to_vec();
+        image.truncate(level.camera.n_pixels());
+        Ok(image)
+    }
 }
 
 impl Checkpointed for Texture {
@@ -269,18 +299,8 @@ impl Appearance for Texture {
         let seed = frame.number.wrapping_mul(0x9e37_79b9) ^ frame.frame as u32;
         let (trusted, rate) = (self.trusted(frame), self.rate(frame));
         let sampling = Sampling { rate: f64::from(rate), seed };
-        interpolate.forward(recorder, n, &hard.pix_to_face, &hard.bary_coords, faces, texcoords, sampling);
         let n_max = interpolate.n_max(n);
-        model.forward(recorder, &interpolate.coords, &interpolate.count, n_max);
-        let shown = match &self.lit {
-            Some(LitTexture { lit, parts, shaded, .. }) => {
-                lit.pixel_parts(recorder, scene, frame.frame, interpolate, n, parts);
-                lit.pixels(recorder, interpolate, n, parts, model.rgb(), shaded, Write::Cut);
-                shaded
-            }
-            None => model.rgb(),
-        };
-        interpolate.scatter(recorder, n, shown, BACKGROUND, image);
+        self.show(recorder, scene, frame.frame, n, sampling);
 
         let weight = frame.per_pixel(frame.weights.rgb);
         let slot = losses.rgb_slot(frame.frame);

@@ -8,6 +8,7 @@
 //! lines on a face; an enlarged picture says there what lies between its pixels.
 
 mod pictures;
+mod placing;
 mod plan;
 #[cfg(test)]
 mod testing;
@@ -86,6 +87,11 @@ impl Detail {
         // A frame's last one.
         let next = self.frames.iter().skip(1).map(Some).chain([None]);
         pictures.zip(next).filter(|((k, _), next)| *next != Some(k)).map(|(picture, _)| picture)
+    }
+
+    /// The close-ups among the pictures: each comes before its whole one.
+    fn close_ups(&self) -> impl Iterator<Item = usize> {
+        self.frames.windows(2).enumerate().filter(|(_, of)| of[0] == of[1]).map(|(at, _)| at)
     }
 
     /// What the detail starts from; `before` are the sizes of the texture of `fitted`.

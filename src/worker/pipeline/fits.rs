@@ -71,7 +71,12 @@ impl<'a, 'm> Fits<'a, 'm> {
         let checkpoint = self.work_dir.join(DETAILED);
         // Drawn is the whole person still: the first of the detail's pictures may be of a head.
         let whole = Inputs { config: &detail.config, ..*before };
-        let state = self.resumed(&whole, detail.start(&fitted, before.config), &checkpoint);
+        let mut start = detail.start(&fitted, before.config);
+        if start.resume(&checkpoint).ok().flatten().is_none() {
+            let placed = detail.place(self.gpu, before.body, &mut start);
+            placed.map_err(|error| from_fit(error, self.monitor.stopped))?;
+        }
+        let state = self.resumed(&whole, start, &checkpoint);
         self.monitor.go_on_with(&checkpoint, self.texture_steps);
         // Sums over other pictures are no part of the same curves.
         self.monitor.draws_curves = false;
