@@ -3,6 +3,7 @@
 //! A fit looks at pictures that are scaled down: shape and poses gain little by more pixels and cost as many times more. A
 //! face, a print or a seam shows what it is in the uploaded ones. So in the end the texture alone goes on with these, in some of
 //! the frames. Half of them are close-ups of the head, since a whole picture gives a face few of the pixels that a step looks at.
+//! Each of these is first put where the texture shows the head.
 //!
 //! Small pictures are enlarged first. Between the places that pixels of few frames hit a texture shows whatever it likes, as specks and
 //! lines on a face; an enlarged picture says there what lies between its pixels.

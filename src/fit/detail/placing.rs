@@ -158,9 +158,11 @@ impl Detail {
         Ok(())
     }
 
-    /// The pictures with the person in them, to be drawn whole.
+    /// The pictures with the person in them; close-ups can be drawn whole.
     fn seen(&self, gpu: &Arc<Gpu>, body: &Body, start: &FitState) -> Result<(Scene, Texture, PoseGroups), FitError> {
-        let config = &FitConfig { most_pixels: None, ..self.config.clone() };
+        let sizes = self.close_ups().map(|k| &self.capture.frames[k]).map(|frame| frame.width * frame.height);
+        let most_pixels = Some(sizes.max().unwrap_or(1) as usize);
+        let config = &FitConfig { most_pixels, ..self.config.clone() };
         let inputs = Inputs { body, capture: &self.capture, camera: &self.camera, config };
         let levels = frames::upload(gpu, &self.capture, &self.camera, 1, config.white());
         let scene = Scene::new(gpu, &inputs, levels, &start.transl);
