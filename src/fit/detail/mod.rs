@@ -11,6 +11,7 @@
 mod pictures;
 mod placing;
 mod plan;
+mod registration;
 #[cfg(test)]
 mod testing;
 

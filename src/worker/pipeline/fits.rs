@@ -71,12 +71,16 @@ impl<'a, 'm> Fits<'a, 'm> {
         let checkpoint = self.work_dir.join(DETAILED);
         // Drawn is the whole person still: the first of the detail's pictures may be of a head.
         let whole = Inputs { config: &detail.config, ..*before };
-        let mut start = detail.start(&fitted, before.config);
-        if start.resume(&checkpoint).ok().flatten().is_none() {
-            let placed = detail.place(self.gpu, before.body, &mut start);
-            placed.map_err(|error| from_fit(error, self.monitor.stopped))?;
-        }
-        let state = self.resumed(&whole, start, &checkpoint);
+        let mut fresh = detail.start(&fitted, before.config);
+        let state = match saved(&fresh, &checkpoint) {
+            Some(state) => state,
+            None => {
+                let placed = detail.place(self.gpu, before.body, &mut fresh);
+                placed.map_err(|error| from_fit(error, self.monitor.stopped))?;
+                fresh
+            }
+        };
+        self.preview_from(&whole, &state);
         self.monitor.go_on_with(&checkpoint, self.texture_steps);
         // Sums over other pictures are no part of the same curves.
         self.monitor.draws_curves = false;
@@ -86,14 +90,14 @@ impl<'a, 'm> Fits<'a, 'm> {
 
     /// Where the fit goes on from, and a picture of it.
     fn resumed(&mut self, inputs: &Inputs<'_>, fresh: FitState, checkpoint: &Path) -> FitState {
-        let state = match checkpoint.exists() {
-            // A checkpoint that cannot be read is worth no more than none.
-            true => fresh.resume(checkpoint).ok().flatten().unwrap_or(fresh),
-            false => fresh,
-        };
-        let Inputs { body, capture, camera, config } = *inputs;
-        self.monitor.preview_from(body, capture, camera, config, &state);
+        let state = saved(&fresh, checkpoint).unwrap_or(fresh);
+        self.preview_from(inputs, &state);
         state
+    }
+
+    fn preview_from(&mut self, inputs: &Inputs<'_>, state: &FitState) {
+        let Inputs { body, capture, camera, config } = *inputs;
+        self.monitor.preview_from(body, capture, camera, config, state);
     }
 
     fn count_texture_steps(&mut self, inputs: &Inputs<'_>) {
@@ -106,6 +110,11 @@ impl<'a, 'm> Fits<'a, 'm> {
         let ended = fit::run(self.gpu, inputs, state, checkpoint, self.monitor);
         ended.map_err(|error| from_fit(error, self.monitor.stopped))
     }
+}
+
+/// What a checkpoint holds of a fit that began as `fresh`. One that is not there or cannot be read is worth no more than none.
+fn saved(fresh: &FitState, checkpoint: &Path) -> Option<FitState> {
+    fresh.resume(checkpoint).ok().flatten()
 }
 
 fn from_fit(error: FitError, stopped: Option<StopReason>) -> PipelineError {
