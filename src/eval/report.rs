@@ -91,8 +91,9 @@ pub struct Summary {
     pub aligned_novel_views: Option<ImageFigures>,
     /// In our scale, with poses that were refined on the very pictures.
     pub refined_novel_poses: Option<ImageFigures>,
-    /// Truth over ours.
+    /// Truth over ours, about the camera, and of the surfaces alone.
     pub scale: Option<f64>,
+    pub size: Option<f64>,
     pub mask_iou: Option<f64>,
     pub chamfer_cm: Option<f64>,
     pub chamfer_sum_cm: Option<f64>,
@@ -133,6 +134,11 @@ impl Report {
         mean(&self.geometry, |r| r.camera_scale)
     }
 
+    /// Mean scale of the alignments, truth over ours: of the surfaces alone, wherever they stand.
+    pub fn size(&self) -> Option<f64> {
+        mean(&self.geometry, |r| r.scale)
+    }
+
     /// Fills the means in from the rows.
     pub fn summarise(&mut self) {
         self.summary = Summary {
@@ -143,6 +149,7 @@ impl Report {
             aligned_novel_views: ImageFigures::mean(&self.aligned_novel_views),
             refined_novel_poses: ImageFigures::mean(&self.refined_novel_poses),
             scale: self.scale(),
+            size: self.size(),
             mask_iou: mean(&self.mask_iou, |r| r.iou),
             chamfer_cm: mean(&self.geometry, |r| r.aligned.chamfer_cm),
             chamfer_sum_cm: mean(&self.geometry, |r| r.aligned.chamfer_sum_cm),
@@ -171,6 +178,7 @@ impl Report {
         let s = &self.summary;
         let rows = [
             ("truth over ours", s.scale, "", 4),
+            ("truth over ours, of the surfaces alone", s.size, "", 4),
             ("training masks, IoU", s.mask_iou, "", 4),
             ("Chamfer, mean of both directions", s.chamfer_cm, "cm", 3),
             ("Chamfer, sum of both directions", s.chamfer_sum_cm, "cm", 3),

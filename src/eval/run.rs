@@ -13,10 +13,14 @@ use super::report::{FrameIou, GeometryScore, ImageScore, JointScore, Report};
 use super::shot::Shot;
 use super::subject::{Novel, NovelPose, Subject, SubjectError};
 use crate::avatar::{AvatarModel, Place, RenderError, RenderSpec, Renderer};
+use crate::camera::Camera;
 use crate::fit::FitError;
 
 /// Samples along a pixel's side of the compared masks.
 const SAMPLES: u32 = 4;
+
+/// Focal lengths that differ by a smaller part than this are the same one.
+const SAME_FOCAL: f64 = 1e-3;
 
 /// What an evaluation does besides the figures.
 #[derive(Clone, Copy, Default)]
@@ -75,17 +79,20 @@ pub fn evaluate(
     report.novel_poses = compare(Set::Plain, &subject.poses)?;
     let scale = report.scale();
     let centre = centre(renderer.model());
-    let scaled = |novels: &[Novel]| -> Vec<Novel> {
+    let scaled = |novels: &[Novel], scale: Option<f64>| -> Vec<Novel> {
         novels.iter().map(|n| in_our_units(n, centre, scale.unwrap_or(1.0))).collect()
     };
+    // Depth tells the size of no fit that found a focal length of its own.
+    let own_focal = subject.camera()?.is_some_and(|filmed| differs(&filmed, &renderer.model().camera));
+    let poses = scaled(&subject.poses, if own_focal { report.size() } else { scale });
     if scale.is_some() {
-        report.scaled_novel_views = compare(Set::Scaled, &scaled(&subject.views))?;
-        report.scaled_novel_poses = compare(Set::Scaled, &scaled(&subject.poses))?;
+        report.scaled_novel_views = compare(Set::Scaled, &scaled(&subject.views, scale))?;
+        report.scaled_novel_poses = compare(Set::Scaled, &poses)?;
     }
     let aligned: Vec<Novel> = subject.views.iter().filter_map(|n| aligned(n, &report.geometry)).collect();
     report.aligned_novel_views = compare(Set::Aligned, &aligned)?;
     if options.refine {
-        report.refined_novel_poses = compare(Set::Refined, &scaled(&subject.poses))?;
+        report.refined_novel_poses = compare(Set::Refined, &poses)?;
     }
     let Comparison { cards, mut warnings, .. } = comparison;
     // A picture that is compared in several ways warns once.
@@ -144,6 +151,12 @@ impl Comparison<'_> {
         }
         Ok(scores)
     }
+}
+
+/// Whether two cameras have other focal lengths, in pictures of the same size.
+fn differs(one: &Camera, other: &Camera) -> bool {
+    let one = one.scaled(other.width, other.height);
+    (one.fx / other.fx - 1.0).abs() > SAME_FOCAL
 }
 
 /// Where the clip's camera stands in its world.
@@ -251,7 +264,6 @@ mod tests {
     use glam::DVec2;
 
     use super::*;
-    use crate::camera::Camera;
 
     #[test]
     fn in_our_units_a_picture_shows_the_same_wherever_the_clips_camera_stands() {

@@ -139,6 +139,12 @@ impl Subject {
         Ok(subject)
     }
 
+    /// All the rest.
+    #[must_use]
+    pub fn without_masks(self) -> Self {
+        Self { masks: None, ..self }
+    }
+
     /// Whether it has nothing that an avatar could be compared with.
     pub fn is_empty(&self) -> bool {
         let Self { views, poses, joints, surfaces, masks, camera: _ } = self;
@@ -150,6 +156,12 @@ impl Subject {
         let path = &self.surfaces[i].1;
         let file = std::fs::File::open(path).map_err(|e| file_error(path)(&e))?;
         ply::read(BufReader::new(file)).map_err(|source| SubjectError::Ply { path: path.clone(), source })
+    }
+
+    /// The camera that the clip was filmed with; `None` without `camera.json`.
+    pub fn camera(&self) -> Result<Option<Camera>, SubjectError> {
+        let read = |path: &Path| capture::read_camera(path).map_err(|e| file_error(path)(&e));
+        self.camera.as_deref().map(read).transpose()
     }
 
     /// The masks of these frames of the video, without the lens's distortion; `None` for a frame without one. Empty without masks.

@@ -179,13 +179,11 @@ fn measure(
     footage: &Footage,
     outcome: &mut Outcome,
 ) -> Result<()> {
-    let whole = Subject::open(&settings.clip)?;
-    // Without masks: those of a cropped clip are not of its pictures' size.
-    let mut truth = Subject::default();
-    truth.joints = whole.joints;
-    truth.surfaces = whole.surfaces.into_iter().take(settings.truths).collect();
-    truth.views = whole.views.into_iter().take(settings.truths).collect();
-    truth.poses = whole.poses.into_iter().take(settings.truths).collect();
+    // The masks of a cropped clip are not of its pictures' size.
+    let mut truth = Subject::open(&settings.clip)?.without_masks();
+    truth.surfaces.truncate(settings.truths);
+    truth.views.truncate(settings.truths);
+    truth.poses.truncate(settings.truths);
     let model = Arc::new(AvatarModel::load(&avatar.join("model.npz"))?);
     let pictures = folder.join("eval");
     std::fs::create_dir_all(&pictures)?;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use effigy::avatar::{AvatarModel, Renderer, ply};
 use effigy::body::Body;
 use effigy::camera::Camera;
-use effigy::eval::{EvalOptions, NovelPose, Subject, evaluate};
+use effigy::eval::{EvalOptions, ImageFigures, NovelPose, Subject, evaluate};
 use effigy::npz::Npz;
 use effigy::ops::texture_field::{TextureFieldConfig, TextureFieldParams};
 use effigy::synth::{SynthOptions, synthesise};
@@ -92,6 +92,18 @@ fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
     let off =
         evaluate(&renderer, &aside, &EvalOptions::default(), |_| {}).unwrap().summary.novel_poses.unwrap().psnr_db;
     assert!(off < s.novel_poses.as_ref().unwrap().psnr_db - 2.0, "{off} dB");
+
+    // A fit that found a focal length of its own has the person's size, and sees it from as much further away.
+    let mut far = truth.clone();
+    (far.camera.fx, far.camera.fy) = (1.1 * far.camera.fx, 1.1 * far.camera.fy);
+    far.transl.iter_mut().for_each(|t| t[2] *= 1.1);
+    let report =
+        evaluate(&Renderer::new(&gpu, &Arc::new(far)).unwrap(), &subject, &EvalOptions::default(), |_| {}).unwrap();
+    let far = &report.summary;
+    assert!(far.scale.unwrap() < 0.95 && (far.size.unwrap() - 1.0).abs() < 0.005, "{far:?}");
+    let psnr = |means: &Option<ImageFigures>| means.as_ref().unwrap().psnr_db;
+    assert!((psnr(&far.scaled_novel_poses) - psnr(&s.scaled_novel_poses)).abs() < 0.2, "{far:?}");
+    assert!(psnr(&far.scaled_novel_views) < psnr(&s.scaled_novel_views) - 0.5, "{far:?}");
 
     let mut moved = truth;
     moved.transl.iter_mut().for_each(|t| t[0] += 0.03);
