@@ -91,8 +91,9 @@ pub struct Summary {
     pub aligned_novel_views: Option<ImageFigures>,
     /// In our scale, with poses that were refined on the very pictures.
     pub refined_novel_poses: Option<ImageFigures>,
-    /// Truth over ours, about the camera, and of the surfaces alone.
+    /// Truth over ours, about the camera.
     pub scale: Option<f64>,
+    /// Truth over ours, of the surfaces alone.
     pub size: Option<f64>,
     pub mask_iou: Option<f64>,
     pub chamfer_cm: Option<f64>,

@@ -83,7 +83,8 @@ pub fn evaluate(
         novels.iter().map(|n| in_our_units(n, centre, scale.unwrap_or(1.0))).collect()
     };
     // Depth tells the size of no fit that found a focal length of its own.
-    let own_focal = subject.camera()?.is_some_and(|filmed| differs(&filmed, &renderer.model().camera));
+    let filmed = subject.camera();
+    let own_focal = matches!(&filmed, Ok(Some(filmed)) if differs(filmed, &renderer.model().camera));
     let poses = scaled(&subject.poses, if own_focal { report.size() } else { scale });
     if scale.is_some() {
         report.scaled_novel_views = compare(Set::Scaled, &scaled(&subject.views, scale))?;
@@ -95,6 +96,7 @@ pub fn evaluate(
         report.refined_novel_poses = compare(Set::Refined, &poses)?;
     }
     let Comparison { cards, mut warnings, .. } = comparison;
+    warnings.extend(filmed.err().map(|error| format!("the camera's focal length is not compared: {error}")));
     // A picture that is compared in several ways warns once.
     warnings.sort();
     warnings.dedup();

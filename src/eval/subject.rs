@@ -139,7 +139,7 @@ impl Subject {
         Ok(subject)
     }
 
-    /// All the rest.
+    /// All but the masks.
     #[must_use]
     pub fn without_masks(self) -> Self {
         Self { masks: None, ..self }

@@ -105,6 +105,8 @@ fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
     assert!((psnr(&far.scaled_novel_poses) - psnr(&s.scaled_novel_poses)).abs() < 0.2, "{far:?}");
     assert!(psnr(&far.scaled_novel_views) < psnr(&s.scaled_novel_views) - 0.5, "{far:?}");
 
+    let scaled = s.scaled_novel_poses.clone();
+
     let mut moved = truth;
     moved.transl.iter_mut().for_each(|t| t[0] += 0.03);
     let report =
@@ -116,6 +118,15 @@ fn the_truth_scores_as_the_truth_and_a_moved_one_by_how_far_it_moved() {
     // The avatar is off its place, but not when its surface is laid onto the truth's.
     let [views, aligned] = [&s.novel_views, &s.aligned_novel_views].map(|m| m.as_ref().unwrap().psnr_db);
     assert!(aligned > views + 0.3, "{aligned} dB against {views} dB");
+
+    // A camera that cannot be read costs nothing but what it would have told.
+    std::fs::write(folder.path().join("camera.json"), "{").unwrap();
+    let mut unread = Subject::open(folder.path()).unwrap().without_masks();
+    unread.views.clear();
+    let report = evaluate(&renderer, &unread, &EvalOptions::default(), |_| {}).unwrap();
+    assert!(report.warnings[0].contains("camera.json") && report.warnings.len() == 1, "{:?}", report.warnings);
+    let [poses, before] = [&report.summary.scaled_novel_poses, &scaled].map(psnr);
+    assert!((poses - before).abs() < 1e-6, "{poses} dB, {before} dB with the camera");
 }
 
 #[test]
