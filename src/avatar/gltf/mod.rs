@@ -1,5 +1,6 @@
 //! The avatar as a glTF 2.0 binary: a skinned mesh in the T-pose with 24 named joints, the albedo in an unlit
-//! material and the captured motion. Pose blend shapes are not exported: glTF has no counterpart for them.
+//! material and, as a variant, in a lit one, and the captured motion. Pose blend shapes are not exported: glTF has no
+//! counterpart for them.
 //!
 //! glTF's world has +Y up and the person faces +Z, standing on y = 0. A capture's world is OpenCV's camera (y down), so
 //! the motion is turned by 180° about x and moved so that the feet are near the ground and the path is centred; the
@@ -77,6 +78,7 @@ pub fn write_glb(model: &AvatarModel, layout: &UvLayout, texture: &Texture<'_>) 
         "video_frames": model.frames,
     });
     file.document["animations"] = json!([animation(&mut file.buffers, &motion)]);
+    file.add_lit_variant();
     file.into_bytes()
 }
 
@@ -129,6 +131,23 @@ impl Rigged {
         let mut file = Self { document, buffers };
         file.image("texture", texture);
         file
+    }
+
+    /// The same material for a scene's lights, to choose instead: programs that know no variants show the unlit one.
+    /// <https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_materials_variants>
+    fn add_lit_variant(&mut self) {
+        const EXTENSION: &str = "KHR_materials_variants";
+        let document = &mut self.document;
+        let mut lit = document["materials"][0].clone();
+        lit["name"] = "lit".into();
+        lit.as_object_mut().expect("a material is an object").remove("extensions");
+        let materials = document["materials"].as_array_mut().expect("a document has materials");
+        materials.push(lit);
+        let names: Vec<Value> = materials.iter().map(|material| json!({ "name": material["name"] })).collect();
+        let mappings: Vec<Value> = (0..names.len()).map(|k| json!({ "material": k, "variants": [k] })).collect();
+        document["extensions"] = json!({ EXTENSION: { "variants": names } });
+        document["meshes"][0]["primitives"][0]["extensions"] = json!({ EXTENSION: { "mappings": mappings } });
+        document["extensionsUsed"].as_array_mut().expect("a document uses extensions").push(EXTENSION.into());
     }
 
     /// Adds a picture; its index.

@@ -113,6 +113,28 @@ fn vertices_split_at_texture_seams_only() {
 }
 
 #[test]
+fn the_albedo_is_unlit_unless_the_lit_variant_is_chosen() {
+    let document = Glb::parse(&export(&turning_avatar())).json;
+    let primitive = &document["meshes"][0]["primitives"][0];
+    let of_variant = |name: &str| {
+        let variants = document["extensions"]["KHR_materials_variants"]["variants"].as_array().unwrap();
+        let variant = variants.iter().position(|v| v["name"] == name).unwrap_or_else(|| panic!("no variant {name}"));
+        let mappings = primitive["extensions"]["KHR_materials_variants"]["mappings"].as_array().unwrap();
+        let mapped = |m: &&Value| m["variants"].as_array().unwrap().contains(&variant.into());
+        &document["materials"][mappings.iter().find(mapped).unwrap()["material"].as_u64().unwrap() as usize]
+    };
+    let unlit = |material: &Value| material["extensions"].get("KHR_materials_unlit").is_some();
+    let shown = &document["materials"][primitive["material"].as_u64().unwrap() as usize];
+    assert!(unlit(shown) && shown == of_variant("captured"));
+    let lit = of_variant("lit");
+    assert!(!unlit(lit));
+    assert_eq!(lit["pbrMetallicRoughness"], shown["pbrMetallicRoughness"]);
+    for extension in ["KHR_materials_unlit", "KHR_materials_variants"] {
+        assert!(document["extensionsUsed"].as_array().unwrap().contains(&extension.into()));
+    }
+}
+
+#[test]
 fn influences_are_merged_and_normalised() {
     let (joints, weights) = influences([3, 7, 3, 9], [0.2, 0.0, 0.2, 0.6]);
     assert_eq!(joints, [3, 9, 0, 0]);
