@@ -112,8 +112,8 @@ mod tests {
     const SKIN: [u8; 3] = [200, 155, 130];
     const SIDE: u32 = 160;
 
-    /// A body that turns once in eight frames before a camera.
-    fn turning(body: &Body) -> Stage0Result {
+    /// A body that turns once in eight frames before a camera with this focal length.
+    fn turning(body: &Body, place: [f32; 3], focal: f64) -> Stage0Result {
         let pose = |k: usize| {
             let mut pose = [0.0; N_POSE];
             // Upright in a world whose y runs down, facing the camera first: half a turn about x, then the turn.
@@ -126,8 +126,8 @@ mod tests {
         Stage0Result {
             betas: vec![0.0; body.n_betas],
             poses: (0..8).map(pose).collect(),
-            transl: vec![[0.0, 0.0, 3.0]; 8],
-            camera: Camera::pinhole(SIDE, SIDE, [200.0, 200.0, 80.0, 80.0]),
+            transl: vec![place; 8],
+            camera: Camera::pinhole(SIDE, SIDE, [focal, focal, 80.0, 80.0]),
             keypoints: Vec::new(),
             report: Stage0Report::default(),
         }
@@ -142,8 +142,7 @@ mod tests {
             let mut order: Vec<usize> = (0..body.n_vertices()).collect();
             order.sort_by(|&a, &b| posed.vertices[b][2].total_cmp(&posed.vertices[a][2]));
             for v in order {
-                let [x, y, z] = posed.vertices[v];
-                let at = [x, y].map(|c| (200.0 * c / z + 80.0) as usize);
+                let at = start.camera.project(posed.vertices[v].map(f64::from)).map(|c| c as usize);
                 for (dx, dy) in (0..9).map(|i| (i % 3, i / 3)) {
                     let pixel = (at[1] + dy - 1) * SIDE as usize + at[0] + dx - 1;
                     rgb[3 * pixel..][..3].copy_from_slice(&colour(v));
@@ -169,7 +168,7 @@ mod tests {
     #[test]
     fn what_is_covered_is_told_by_its_colour() {
         let body = Body::test_body();
-        let start = turning(&body);
+        let start = turning(&body, [0.0, 0.0, 3.0], 200.0);
         let of_feet = |v: usize| body.weight_of(v, |j| [7, 8, 10, 11].contains(&j)) > 0.5;
         let head = Head::of(&body, &start.betas).unwrap();
         let near_an_ear =
@@ -180,6 +179,17 @@ mod tests {
         assert_eq!(found(&shoes), Covered { toes: true, ears: false });
         let hair = |v: usize| if near_an_ear(v) { [70, 50, 35] } else { SKIN };
         assert_eq!(found(&hair), Covered { toes: false, ears: true });
+    }
+
+    #[test]
+    fn shoes_are_seen_by_a_camera_that_looks_down_on_them() {
+        let body = Body::test_body();
+        let low = body.v_template.iter().map(|v| v[1]).fold(f32::INFINITY, f32::min);
+        // As high as it is away.
+        let start = turning(&body, [0.0, 1.1 + low, 1.1], 60.0);
+        let shoes =
+            |v: usize| if body.weight_of(v, |j| [7, 8, 10, 11].contains(&j)) > 0.5 { [40, 40, 45] } else { SKIN };
+        assert!(Covered::find(&body, &filmed(&body, &start, shoes), &start).toes);
     }
 
     #[test]

@@ -4,6 +4,7 @@ use glam::Vec3;
 
 use super::{FEET, Head, OF_TOES};
 use crate::body::Body;
+use crate::body::joints::{NECK, PELVIS};
 use crate::capture::{Capture, Frame};
 use crate::fit::stage0::Stage0Result;
 use crate::mask::is_foreground;
@@ -56,8 +57,10 @@ pub(super) fn colours(body: &Body, capture: &Capture, start: &Stage0Result, head
         let [left, right] = head.ear_vertices.map(place);
         let nose = face.iter().map(|&v| place(v)).sum::<Vec3>() / face.len().max(1) as f32;
         look(0, &face, nose, nose - left.midpoint(right));
+        // A camera that stands near looks down on the feet: by their heading they look at it all the same.
+        let up = (Vec3::from(joints[NECK]) - Vec3::from(joints[PELVIS])).normalize_or_zero();
         for (toes, feet) in toes.iter().zip(FEET) {
-            let [ankle, foot] = feet.map(|joint| Vec3::from(joints[joint]));
+            let [ankle, foot] = feet.map(|joint| Vec3::from(joints[joint]).reject_from_normalized(up));
             look(1, toes, foot, foot - ankle);
         }
         look(2, &ears[0], left, left - right);
