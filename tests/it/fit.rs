@@ -300,6 +300,19 @@ fn picture_error(gpu: &Arc<Gpu>, model: AvatarModel, capture: &Capture) -> f64 {
     sum / f64::from(n)
 }
 
+/// A copy of a job's folder in which the detail has not begun.
+fn without_detail(folder: &Path) -> tempfile::TempDir {
+    let copy = tempfile::tempdir().unwrap();
+    let work = copy.path().join("work");
+    std::fs::create_dir(&work).unwrap();
+    for entry in std::fs::read_dir(folder.join("work")).unwrap().map(Result::unwrap) {
+        if entry.file_name() != "detailed.npz" {
+            std::fs::copy(entry.path(), work.join(entry.file_name())).unwrap();
+        }
+    }
+    copy
+}
+
 #[test]
 fn a_texture_goes_on_with_the_uploaded_pictures_where_they_are_larger() {
     let Some(gpu) = gpu("a_texture_goes_on_with_the_uploaded_pictures_where_they_are_larger") else { return };
@@ -315,8 +328,13 @@ fn a_texture_goes_on_with_the_uploaded_pictures_where_they_are_larger() {
     let fresh = Start::new(&gpu, 12);
     let fitted = fresh.state.resume(&checkpoint(folder.path())).unwrap().unwrap();
     assert_eq!(fitted.stage, fit::Stage::Done);
+    let uninterrupted = without_detail(folder.path());
     let mut witness = Witness::default();
     run(&gpu, &small, folder.path(), &mut witness).unwrap();
+    run(&gpu, &small, uninterrupted.path(), &mut Witness::default()).unwrap();
+    let [gone_on, at_once] =
+        [&folder, &uninterrupted].map(|f| std::fs::read(f.path().join("out/texture.png")).unwrap());
+    assert!(gone_on == at_once, "the detail that was stopped is another one");
     let steps = witness.heard.iter().filter(|p| p.stage == Stage::Texture && p.step > 0).map(|p| p.step);
     assert_eq!(steps.min(), Some(before + 6), "it goes on where it was stopped");
     assert!(witness.heard.iter().map(|p| p.progress).is_sorted());

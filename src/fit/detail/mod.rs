@@ -14,6 +14,7 @@ mod plan;
 mod registration;
 #[cfg(test)]
 mod testing;
+mod warp;
 
 pub use self::pictures::square_around;
 use self::pictures::{cut, enlarge, shrink};

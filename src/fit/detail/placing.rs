@@ -1,5 +1,6 @@
 //! Puts each close-up where the texture shows it: a head that is a few pixels off in each frame, now here and now there, would be
-//! learned as a face without eyes.
+//! learned as a face without eyes. A face whose surface lies at another depth is off by another way in each of its places: what is left
+//! of it after the whole has been moved, the picture is bent by (see [`super::warp`]).
 //!
 //! The texture's gradients do not tell that way. A hash grid's slopes are those of its finest cells, and a step along them goes
 //! anywhere; so the texture is drawn, and its picture is moved over the frame's.
@@ -8,6 +9,7 @@ use std::sync::Arc;
 
 use super::Detail;
 use super::registration::{Picture, shift};
+use super::warp::{Warp, bend};
 use crate::body::Body;
 use crate::fit::appearance::{Appearance as _, Texture, cosines, well_inside};
 use crate::fit::config::FitConfig;
@@ -19,13 +21,13 @@ use crate::fit::{FitError, Inputs, frames};
 use crate::gpu::Gpu;
 
 impl Detail {
-    /// Moves the close-ups of `start` to where its texture shows them, each across the camera's view. Waits.
+    /// Moves the close-ups of `start` to where its texture shows them, each across the camera's view, and bends their pictures. Waits.
     ///
     /// # Errors
     /// [`FitError::Device`].
-    pub fn place(&self, gpu: &Arc<Gpu>, body: &Body, start: &mut FitState) -> Result<(), FitError> {
+    pub fn place(&mut self, gpu: &Arc<Gpu>, body: &Body, start: &mut FitState) -> Result<(), FitError> {
         let (scene, texture, poses) = self.seen(gpu, body, start)?;
-        for k in self.close_ups() {
+        for k in self.close_ups().collect::<Vec<_>>() {
             let drawn = texture.draw(&scene, &poses, k)?;
             let level = &scene.frames[k].levels[0];
             let cosines = cosines(&scene, &body.faces)?;
@@ -36,7 +38,13 @@ impl Detail {
             let filmed: Vec<[u8; 4]> = gpu.read(&level.target)?.into_iter().map(u32::to_le_bytes).collect();
             let inside = well_inside(&filmed, size[0]).map(|inside| if inside { 1.0 } else { 0.0 }).collect();
             let colours = filmed.iter().map(|pixel| [0, 1, 2].map(|c| f32::from(pixel[c]) / 255.0)).collect();
-            let Some(shift) = shift(&drawn, &Picture::new(size, colours, inside)) else { continue };
+            let filmed = Picture::new(size, colours, inside);
+            let shift = shift(&drawn, &filmed).unwrap_or_default();
+            let picture = &mut self.capture.frames[k];
+            // The device's picture has some room around it.
+            let room = [level.camera.cx - self.camera.cx, level.camera.cy - self.camera.cy];
+            let corner = [room[0] + f64::from(picture.x0), room[1] + f64::from(picture.y0)];
+            bend(picture, &Warp::between(&drawn, &filmed, shift), corner);
             let place = &mut start.transl[3 * k..][..3];
             let distance = self.camera.view([0, 1, 2].map(|c| f64::from(place[c])))[2];
             let across = [shift[0] * distance / level.camera.fx, shift[1] * distance / level.camera.fy];

@@ -13,10 +13,10 @@ const COARSEST_PX: usize = 96;
 
 /// Three channels a pixel, and what each pixel counts.
 pub(super) struct Picture {
-    width: usize,
-    height: usize,
-    rgb: Vec<[f32; 3]>,
-    weights: Vec<f32>,
+    pub width: usize,
+    pub height: usize,
+    pub rgb: Vec<[f32; 3]>,
+    pub weights: Vec<f32>,
 }
 
 impl Picture {
@@ -28,7 +28,7 @@ impl Picture {
     }
 
     /// Half as large: the mean of four pixels, by what they count.
-    fn halved(&self) -> Self {
+    pub fn halved(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut half = Self { width, height, rgb: Vec::new(), weights: Vec::new() };
         for y in 0..height {

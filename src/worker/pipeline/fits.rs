@@ -65,22 +65,17 @@ impl<'a, 'm> Fits<'a, 'm> {
     pub fn detailed(
         &mut self,
         before: &Inputs<'_>,
-        detail: &Detail,
+        detail: &mut Detail,
         fitted: FitState,
     ) -> Result<FitState, PipelineError> {
         let checkpoint = self.work_dir.join(DETAILED);
+        let mut fresh = detail.start(&fitted, before.config);
+        // Where a checkpoint is gone on from, too: the pictures are bent besides, and no checkpoint has pictures.
+        let placed = detail.place(self.gpu, before.body, &mut fresh);
+        placed.map_err(|error| from_fit(error, self.monitor.stopped))?;
         // Drawn is the whole person still: the first of the detail's pictures may be of a head.
         let whole = Inputs { config: &detail.config, ..*before };
-        let mut fresh = detail.start(&fitted, before.config);
-        let state = match saved(&fresh, &checkpoint) {
-            Some(state) => state,
-            None => {
-                let placed = detail.place(self.gpu, before.body, &mut fresh);
-                placed.map_err(|error| from_fit(error, self.monitor.stopped))?;
-                fresh
-            }
-        };
-        self.preview_from(&whole, &state);
+        let state = self.resumed(&whole, fresh, &checkpoint);
         self.monitor.go_on_with(&checkpoint, self.texture_steps);
         // Sums over other pictures are no part of the same curves.
         self.monitor.draws_curves = false;
