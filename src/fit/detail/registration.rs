@@ -27,8 +27,13 @@ impl Picture {
         Self { width, height, rgb, weights }
     }
 
+    /// The longer side.
+    pub fn longer(&self) -> usize {
+        self.width.max(self.height)
+    }
+
     /// Half as large: the mean of four pixels, by what they count.
-    pub fn halved(&self) -> Self {
+    fn halved(&self) -> Self {
         let (width, height) = (self.width / 2, self.height / 2);
         let mut half = Self { width, height, rgb: Vec::new(), weights: Vec::new() };
         for y in 0..height {
@@ -74,18 +79,22 @@ impl Picture {
     }
 }
 
-/// By how many pixels `drawn` must be moved to lie on `filmed`; `None` where that gains little, or leads out of reach.
-pub(super) fn shift(drawn: &Picture, filmed: &Picture) -> Option<[f64; 2]> {
-    let longer = |picture: &Picture| picture.width.max(picture.height);
-    let reach = |picture: &Picture| (REACH * longer(picture) as f64).ceil() as i64;
+/// Both pictures halved again and again, the finest first, until the longer side has `coarsest` pixels at most.
+pub(super) fn halves(drawn: &Picture, filmed: &Picture, coarsest: usize) -> Vec<[Picture; 2]> {
     let mut halves: Vec<[Picture; 2]> = Vec::new();
     loop {
         let [drawn, filmed] = halves.last().map_or([drawn, filmed], |[drawn, filmed]| [drawn, filmed]);
-        if longer(drawn) <= COARSEST_PX {
-            break;
+        if drawn.longer() <= coarsest {
+            return halves;
         }
         halves.push([drawn.halved(), filmed.halved()]);
     }
+}
+
+/// By how many pixels `drawn` must be moved to lie on `filmed`; `None` where that gains little, or leads out of reach.
+pub(super) fn shift(drawn: &Picture, filmed: &Picture) -> Option<[f64; 2]> {
+    let reach = |picture: &Picture| (REACH * picture.longer() as f64).ceil() as i64;
+    let halves = halves(drawn, filmed, COARSEST_PX);
     let levels = halves.iter().rev().map(|[drawn, filmed]| [drawn, filmed]).chain([[drawn, filmed]]);
     let mut at = [0; 2];
     for (nth, [drawn, filmed]) in levels.enumerate() {

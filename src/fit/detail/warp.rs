@@ -1,10 +1,12 @@
 //! How one picture lies over another, place by place, and a picture bent by that. So colours that many pictures have of a surface
-//! that is not quite there come to lie over each other (Zhou and Koltun 2014, "Color Map Optimization", §3.3, which bends pictures
-//! as well); the way from place to place is Lucas and Kanade's (1981), in windows, from coarse pictures to fine ones.
+//! that is not quite there come to lie over each other (Zhou and Koltun 2014, "Color Map Optimization for 3D Reconstruction with
+//! Consumer Depth Cameras", bend pictures as well). The way from place to place is Lucas and Kanade's (1981), in windows, from coarse
+//! pictures to fine ones: as stage 0 follows single points of grey pictures, but for every place, by colours and by what each pixel
+//! counts.
 
 use glam::{DMat2, DVec2};
 
-use super::registration::Picture;
+use super::registration::{Picture, halves};
 use crate::capture::Frame;
 use crate::mask::is_foreground;
 
@@ -14,10 +16,12 @@ const REACH: f64 = 0.025;
 const WINDOW: f64 = 0.08;
 /// Steps on each picture, of a pixel at most.
 const STEPS: usize = 4;
-/// The longer side of the coarsest picture at least, pixels.
-const COARSEST_PX: usize = 40;
+/// The longer side of the coarsest picture at most, pixels.
+const COARSEST_PX: usize = 79;
 /// A mean squared slope, a pixel of the values 0..1: windows with as little are held back by half.
 const FLAT: f64 = 4e-4;
+/// A window with less weight tells nothing.
+const LEAST: f64 = 1e-6;
 
 /// For each pixel of one picture, by how many pixels the other has it elsewhere.
 pub(super) struct Warp {
@@ -32,15 +36,7 @@ pub(super) struct Warp {
 impl Warp {
     /// From `drawn` to `filmed`, which lies beside it by about `shift`.
     pub fn between(drawn: &Picture, filmed: &Picture, shift: [f64; 2]) -> Self {
-        let longer = |picture: &Picture| picture.width.max(picture.height);
-        let mut halves: Vec<[Picture; 2]> = Vec::new();
-        loop {
-            let [drawn, filmed] = halves.last().map_or([drawn, filmed], |[drawn, filmed]| [drawn, filmed]);
-            if longer(drawn) / 2 < COARSEST_PX {
-                break;
-            }
-            halves.push([drawn.halved(), filmed.halved()]);
-        }
+        let halves = halves(drawn, filmed, COARSEST_PX);
         let scale = 0.5f64.powi(halves.len() as i32);
         let coarsest = halves.last().map_or(drawn, |[drawn, _]| drawn);
         let mut warp = Self::even(coarsest, scale * DVec2::from(shift));
@@ -119,9 +115,6 @@ impl Warp {
         if within { self.moved[y as usize * self.width + x as usize] - self.shift } else { DVec2::ZERO }
     }
 }
-
-/// A window with less weight tells nothing.
-const LEAST: f64 = 1e-6;
 
 /// Weighted means in the square windows around all pixels.
 struct Windows {
