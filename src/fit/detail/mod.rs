@@ -2,8 +2,8 @@
 //!
 //! A fit looks at pictures that are scaled down: shape and poses gain little by more pixels and cost as many times more. A
 //! face, a print or a seam shows what it is in the uploaded ones. So in the end the texture alone goes on with these, in some of
-//! the frames. Half of them are close-ups of the head, since a whole picture gives a face few of the pixels that a step looks at.
-//! Each of these is first put where the texture shows the head.
+//! the frames. Half of them are close-ups of the head, since a whole picture gives a face few of the pixels that a step looks at;
+//! a whole picture then teaches the rest. Each picture is first bent to lie where the texture shows what it shows.
 //!
 //! Small pictures are enlarged first. Between the places that pixels of few frames hit a texture shows whatever it likes, as specks and
 //! lines on a face; an enlarged picture says there what lies between its pixels.
@@ -17,7 +17,7 @@ mod testing;
 mod warp;
 
 pub use self::pictures::square_around;
-use self::pictures::{cut, enlarge, shrink};
+use self::pictures::{cut, enlarge, shrink, take_out};
 pub use self::plan::DetailPlan;
 use super::config::FitConfig;
 use super::state::{FitState, Stage};
@@ -36,9 +36,12 @@ const LOG2_HASHMAP_SIZE: u32 = 17;
 /// Colours run over a mask's border by compression, pixels.
 const BLEEDING_PX: u32 = 2;
 
+/// What a close-up and the rest of its picture have both, so that no place between them is told by none, pixels.
+const SEAM_PX: u32 = 4;
+
 /// The texture's way on: a fit of its own, in which all else stands.
 pub struct Detail {
-    /// Each frame whole, and then its head.
+    /// Each frame's close-up of the head, where it shows one, and then the whole picture, whose mask lacks what the close-up shows.
     pub capture: Capture,
     pub camera: Camera,
     pub config: FitConfig,
@@ -68,6 +71,7 @@ impl Detail {
             let mut picture = enlarge(picture, plan.enlarged);
             shrink(&mut picture, BLEEDING_PX);
             if let Some(head) = head(body, fitted, k, &camera).and_then(|square| cut(&picture, square)) {
+                take_out(&mut picture, &head, SEAM_PX);
                 frames.push(k);
                 pictures.push(head);
             }

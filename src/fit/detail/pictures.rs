@@ -57,6 +57,16 @@ pub(super) fn cut(picture: &Frame, [left, top, side]: [f32; 3]) -> Option<Frame>
     })
 }
 
+/// Takes from a picture's mask what `part` of it shows, but for `seam` pixels at its border.
+pub(super) fn take_out(picture: &mut Frame, part: &Frame, seam: u32) {
+    let within = |start: u32, size: u32| start + seam..(start + size).saturating_sub(seam);
+    for y in within(part.y0 - picture.y0, part.height) {
+        for x in within(part.x0 - picture.x0, part.width) {
+            picture.mask[(y * picture.width + x) as usize] = 0;
+        }
+    }
+}
+
 /// A picture with `times` as many pixels along each side; a mask's border lies where it lay.
 pub(super) fn enlarge(picture: &Frame, times: u32) -> Frame {
     if times == 1 {
@@ -97,6 +107,19 @@ mod tests {
         let corner = cut([4.0, 14.0, 8.0]).unwrap();
         assert_eq!((corner.x0, corner.y0, corner.width, corner.height), (10, 20, 2, 2));
         assert!(cut([100.0, 100.0, 5.0]).is_none());
+    }
+
+    #[test]
+    fn a_part_is_taken_out_but_for_a_seam() {
+        let mut picture = picture(5, [10, 20, 8, 8]);
+        let part = cut(&picture, [9.0, 21.0, 6.0]).unwrap();
+        assert_eq!((part.x0, part.y0, part.width, part.height), (10, 21, 5, 6));
+        take_out(&mut picture, &part, 1);
+        let gone: Vec<usize> = (0..64).filter(|&i| picture.mask[i] == 0).collect();
+        let expected: Vec<usize> = (2..6).flat_map(|y| (1..4).map(move |x| 8 * y + x)).collect();
+        assert_eq!(gone, expected);
+        take_out(&mut picture, &part, 4);
+        assert_eq!(picture.mask.iter().filter(|&&mask| mask == 0).count(), 12, "nothing but seam");
     }
 
     #[test]

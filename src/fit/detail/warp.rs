@@ -10,14 +10,13 @@ use super::registration::{Picture, halves};
 use crate::capture::Frame;
 use crate::mask::is_foreground;
 
-/// How far a place may be off besides the whole picture's shift, and half the side of the window that tells it, over the longer side
-/// of a picture.
-const REACH: f64 = 0.025;
-const WINDOW: f64 = 0.08;
+/// How far a place may be off besides the whole picture's shift, and half the side of the window that tells it, metres at the person.
+const REACH_M: f64 = 0.012;
+const WINDOW_M: f64 = 0.026;
 /// Steps on each picture, of a pixel at most.
 const STEPS: usize = 4;
-/// The longer side of the coarsest picture at most, pixels.
-const COARSEST_PX: usize = 79;
+/// Half the side of a window on the coarsest picture at most, pixels.
+const COARSEST_PX: f64 = 3.5;
 /// A mean squared slope, a pixel of the values 0..1: windows with as little are held back by half.
 const FLAT: f64 = 4e-4;
 /// A window with less weight tells nothing.
@@ -27,6 +26,8 @@ const LEAST: f64 = 1e-6;
 pub(super) struct Warp {
     width: usize,
     height: usize,
+    /// Pixels of a metre at the person.
+    metre: f64,
     /// Of the whole picture.
     shift: DVec2,
     /// `[H * W]`, `shift` and what each place adds
@@ -34,12 +35,12 @@ pub(super) struct Warp {
 }
 
 impl Warp {
-    /// From `drawn` to `filmed`, which lies beside it by about `shift`.
-    pub fn between(drawn: &Picture, filmed: &Picture, shift: [f64; 2]) -> Self {
-        let halves = halves(drawn, filmed, COARSEST_PX);
+    /// From `drawn` to `filmed`, which lies beside it by about `shift`. A metre at the person is `metre` pixels long.
+    pub fn between(drawn: &Picture, filmed: &Picture, shift: [f64; 2], metre: f64) -> Self {
+        let halves = halves(drawn, filmed, (drawn.longer() as f64 * COARSEST_PX / (WINDOW_M * metre)) as usize);
         let scale = 0.5f64.powi(halves.len() as i32);
         let coarsest = halves.last().map_or(drawn, |[drawn, _]| drawn);
-        let mut warp = Self::even(coarsest, scale * DVec2::from(shift));
+        let mut warp = Self::even(coarsest, scale * DVec2::from(shift), scale * metre);
         for (drawn, filmed) in halves.iter().rev().map(|[drawn, filmed]| (drawn, filmed)).chain([(drawn, filmed)]) {
             warp = warp.finer(drawn);
             (0..STEPS).for_each(|_| warp.step(drawn, filmed));
@@ -47,9 +48,9 @@ impl Warp {
         warp
     }
 
-    fn even(picture: &Picture, shift: DVec2) -> Self {
+    fn even(picture: &Picture, shift: DVec2, metre: f64) -> Self {
         let Picture { width, height, .. } = *picture;
-        Self { width, height, shift, moved: vec![shift; width * height] }
+        Self { width, height, metre, shift, moved: vec![shift; width * height] }
     }
 
     /// The same for a picture that is as large, or twice as large.
@@ -57,7 +58,7 @@ impl Warp {
         if picture.width == self.width && picture.height == self.height {
             return self;
         }
-        let mut finer = Self::even(picture, 2.0 * self.shift);
+        let mut finer = Self::even(picture, 2.0 * self.shift, 2.0 * self.metre);
         for (i, moved) in finer.moved.iter_mut().enumerate() {
             let [x, y] = [(i % finer.width / 2).min(self.width - 1), (i / finer.width / 2).min(self.height - 1)];
             *moved = 2.0 * self.moved[y * self.width + x];
@@ -71,9 +72,8 @@ impl Warp {
         let there: Vec<([f64; 3], f64)> = (0..width * height)
             .map(|i| sample(filmed, DVec2::new((i % width) as f64, (i / width) as f64) + self.moved[i]))
             .collect();
-        let longer = width.max(height) as f64;
         let windows = Windows::new(
-            [width, height, (WINDOW * longer).ceil() as usize],
+            [width, height, (WINDOW_M * self.metre).ceil() as usize],
             drawn.weights.iter().zip(&there).map(|(&weight, (_, there))| f64::from(weight) * there).collect(),
         );
         // Of the normal equations: slopes by slopes, and slopes by differences.
@@ -95,7 +95,7 @@ impl Warp {
                 sums.iter_mut().zip(covariances).for_each(|(sums, covariance)| sums[sum] += covariance);
             }
         }
-        let reach = DVec2::splat(REACH * longer);
+        let reach = DVec2::splat(REACH_M * self.metre);
         for (moved, [xx, xy, yy, x, y]) in self.moved.iter_mut().zip(sums) {
             let slopes = DMat2::from_cols(DVec2::new(xx + FLAT, xy), DVec2::new(xy, yy + FLAT));
             let step = (slopes.inverse() * DVec2::new(x, y)).clamp(-DVec2::ONE, DVec2::ONE);
@@ -109,8 +109,8 @@ impl Warp {
     }
 
     /// What a place adds to the shift; nothing beyond the picture.
-    fn bent(&self, [x, y]: [f64; 2]) -> DVec2 {
-        let [x, y] = [x.round(), y.round()];
+    fn bent(&self, place: DVec2) -> DVec2 {
+        let DVec2 { x, y } = place.round();
         let within = (0.0..self.width as f64).contains(&x) && (0.0..self.height as f64).contains(&y);
         if within { self.moved[y as usize * self.width + x as usize] - self.shift } else { DVec2::ZERO }
     }
@@ -139,22 +139,22 @@ impl Windows {
 
     fn sums(&self, mut values: Vec<f64>) -> Vec<f64> {
         let Self { width, height, half, .. } = *self;
-        for y in 0..height {
-            along(&mut values, width, half, |x| y * width + x);
+        let mut before = vec![0.0; width + 1];
+        for row in values.chunks_exact_mut(width) {
+            (0..width).for_each(|x| before[x + 1] = before[x] + row[x]);
+            (0..width).for_each(|x| row[x] = before[(x + half + 1).min(width)] - before[x.saturating_sub(half)]);
         }
-        for x in 0..width {
-            along(&mut values, height, half, |y| y * width + x);
+        // Row by row, as they lie in memory.
+        let mut above = vec![0.0; (height + 1) * width];
+        for i in 0..height * width {
+            above[i + width] = above[i] + values[i];
+        }
+        for y in 0..height {
+            let (to, from) = ((y + half + 1).min(height) * width, y.saturating_sub(half) * width);
+            (0..width).for_each(|x| values[y * width + x] = above[to + x] - above[from + x]);
         }
         values
     }
-}
-
-/// Replaces the `n` values of a line by the sums of those up to `half` beside each.
-fn along(values: &mut [f64], n: usize, half: usize, at: impl Fn(usize) -> usize) {
-    let mut sums = Vec::with_capacity(n + 1);
-    sums.push(0.0);
-    (0..n).for_each(|i| sums.push(sums[i] + values[at(i)]));
-    (0..n).for_each(|i| values[at(i)] = sums[(i + half + 1).min(n)] - sums[i.saturating_sub(half)]);
 }
 
 /// The four pixels around a place of a picture with so many, and the part of each; `None` beyond it.
@@ -178,15 +178,17 @@ fn sample(picture: &Picture, place: DVec2) -> ([f64; 3], f64) {
     ([0, 1, 2].map(mean), four.iter().map(|&(i, _)| f64::from(picture.weights[i])).fold(f64::INFINITY, f64::min))
 }
 
-/// Bends a picture whose corner lies at `corner` of the filmed one: what its places add to the shift is taken out. A pixel that would
-/// come from beside the mask leaves it.
-pub(super) fn bend(picture: &mut Frame, warp: &Warp, corner: [f64; 2]) {
+/// Bends a picture: what its places add to the shift is taken out. Its corner lies at `corner` of the filmed one, of which it has `scale`
+/// times as many pixels along each side. A pixel that would come from beside the mask leaves it.
+pub(super) fn bend(picture: &mut Frame, warp: &Warp, corner: [f64; 2], scale: f64) {
     let [width, height] = [picture.width as usize, picture.height as usize];
     let (rgb, mask) = (picture.rgb.clone(), picture.mask.clone());
+    // Whole numbers are the middles of pixels.
+    let middle = DVec2::splat(0.5);
     for i in 0..width * height {
         let here = DVec2::new((i % width) as f64, (i / width) as f64);
-        let drawn = here + DVec2::from(corner) - warp.shift;
-        let Some(four) = around([width, height], here + warp.bent(drawn.to_array())) else {
+        let drawn = (here + middle) / scale - middle + DVec2::from(corner) - warp.shift;
+        let Some(four) = around([width, height], here + scale * warp.bent(drawn)) else {
             picture.mask[i] = 0;
             continue;
         };
@@ -206,6 +208,8 @@ mod tests {
     use crate::fit::detail::testing::picture;
 
     const SIZE: [usize; 2] = [140, 120];
+    /// Of a head as large as that.
+    const METRE: f64 = 430.0;
 
     /// Blobs some ten pixels wide, each pixel's taken from where `from` tells.
     fn blobs(light: f32, from: impl Fn(DVec2) -> DVec2) -> Picture {
@@ -228,9 +232,10 @@ mod tests {
         // `filmed(x + shift + squeezed(x)) = drawn(x)`, whose inverse is linear.
         let narrower = 1.0 - 4.0 / SIZE[0] as f64;
         let from = |at: DVec2| DVec2::new((at.x - shift.x - 2.0) / narrower, at.y - shift.y);
-        let warp = Warp::between(&blobs(0.5, |at| at), &blobs(0.4, from), shift.to_array());
+        let warp = Warp::between(&blobs(0.5, |at| at), &blobs(0.4, from), shift.to_array(), METRE);
         for [x, y] in [[30, 30], [30, 90], [70, 60], [110, 30], [110, 90]] {
-            let (found, truth) = (warp.bent([x, y].map(f64::from)), squeezed(DVec2::new(f64::from(x), f64::from(y))));
+            let at = DVec2::new(f64::from(x), f64::from(y));
+            let (found, truth) = (warp.bent(at), squeezed(at));
             assert!(found.distance(truth) < 0.4, "at {x}, {y}: {found}, expected {truth}");
         }
     }
@@ -238,10 +243,10 @@ mod tests {
     #[test]
     fn what_tells_nothing_is_not_bent_and_nothing_further_than_within_reach() {
         let grey = || Picture::new(SIZE, vec![[0.5; 3]; SIZE[0] * SIZE[1]], vec![1.0; SIZE[0] * SIZE[1]]);
-        let warp = Warp::between(&grey(), &grey(), [3.0, 1.0]);
+        let warp = Warp::between(&grey(), &grey(), [3.0, 1.0], METRE);
         assert!(warp.moved.iter().all(|moved| moved.distance(DVec2::new(3.0, 1.0)) < 1e-9));
-        let far = Warp::between(&blobs(0.5, |at| at), &blobs(0.5, |at| at + DVec2::new(0.0, 7.0)), [0.0; 2]);
-        let reach = REACH * SIZE[0] as f64;
+        let far = Warp::between(&blobs(0.5, |at| at), &blobs(0.5, |at| at + DVec2::new(0.0, 7.0)), [0.0; 2], METRE);
+        let reach = REACH_M * METRE;
         assert!(far.moved.iter().all(|moved| moved.abs().max_element() <= reach + 1e-9));
     }
 
@@ -251,15 +256,23 @@ mod tests {
         frame.rgb = (0..40 * 30).flat_map(|i| [5 * (i % 40) as u8, 6 * (i / 40) as u8, 9]).collect();
         frame.mask = (0..40 * 30).map(|i| if i % 40 < 30 { 255 } else { 0 }).collect();
         // The picture's corner is the filmed one's [10, 0]; what is drawn at x has been filmed at x + 4, and all of it 1.5 further.
-        let even = Picture::new([60, 30], vec![[0.0; 3]; 1800], vec![1.0; 1800]);
-        let mut warp = Warp::even(&even, DVec2::new(4.0, 0.0));
+        let even =
+            |size: [usize; 2]| Picture::new(size, vec![[0.0; 3]; size[0] * size[1]], vec![1.0; size[0] * size[1]]);
+        let mut warp = Warp::even(&even([60, 30]), DVec2::new(4.0, 0.0), METRE);
         warp.moved.iter_mut().for_each(|moved| moved.x += 1.5);
-        bend(&mut frame, &warp, [10.0, 0.0]);
+        let fine = frame.clone();
+        bend(&mut frame, &warp, [10.0, 0.0], 1.0);
         let at = |x: usize, y: usize| [frame.rgb[3 * (y * 40 + x)], frame.rgb[3 * (y * 40 + x) + 1]];
         assert_eq!([at(10, 7), at(20, 8)], [[58, 42], [108, 48]], "1.5 pixels to the right of each");
         assert!(
             (0..30).all(|y| frame.mask[y * 40 + 27] == 255 && frame.mask[y * 40 + 28] == 0),
             "its mask goes with it"
         );
+        // The same found on pictures half as large.
+        let mut warp = Warp::even(&even([30, 15]), DVec2::new(2.0, 0.0), 0.5 * METRE);
+        warp.moved.iter_mut().for_each(|moved| moved.x += 0.75);
+        let mut again = fine;
+        bend(&mut again, &warp, [5.0, 0.0], 2.0);
+        assert!(again.rgb == frame.rgb && again.mask == frame.mask);
     }
 }

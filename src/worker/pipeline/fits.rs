@@ -71,7 +71,7 @@ impl<'a, 'm> Fits<'a, 'm> {
         let checkpoint = self.work_dir.join(DETAILED);
         let mut fresh = detail.start(&fitted, before.config);
         // Where a checkpoint is gone on from, too: the pictures are bent besides, and no checkpoint has pictures.
-        let placed = detail.place(self.gpu, before.body, &mut fresh);
+        let placed = detail.place(self.gpu, before.body, &mut fresh, &mut || self.monitor.go_on());
         placed.map_err(|error| from_fit(error, self.monitor.stopped))?;
         // Drawn is the whole person still: the first of the detail's pictures may be of a head.
         let whole = Inputs { config: &detail.config, ..*before };
