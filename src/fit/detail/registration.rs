@@ -79,12 +79,13 @@ impl Picture {
     }
 }
 
-/// Both pictures halved again and again, the finest first, until the longer side has `coarsest` pixels at most.
+/// Both pictures halved again and again, the finest first, until the longer side has `coarsest` pixels at most, or the shorter one no
+/// half: a head at the border of the image may be a few pixels wide.
 pub(super) fn halves(drawn: &Picture, filmed: &Picture, coarsest: usize) -> Vec<[Picture; 2]> {
     let mut halves: Vec<[Picture; 2]> = Vec::new();
     loop {
         let [drawn, filmed] = halves.last().map_or([drawn, filmed], |[drawn, filmed]| [drawn, filmed]);
-        if drawn.longer() <= coarsest {
+        if drawn.longer() <= coarsest || drawn.width.min(drawn.height) < 2 {
             return halves;
         }
         halves.push([drawn.halved(), filmed.halved()]);

@@ -251,6 +251,15 @@ mod tests {
     }
 
     #[test]
+    fn what_is_left_of_a_head_at_the_images_border_is_compared_as_well() {
+        let size = [3, 140];
+        let slope = || Picture::new(size, (0..420).map(|i| [i as f32 / 420.0; 3]).collect(), vec![1.0; 420]);
+        let warp = Warp::between(&slope(), &slope(), [0.0; 2], METRE);
+        assert_eq!([warp.width, warp.height], size);
+        assert!(warp.moved.iter().all(|moved| moved.length() < 0.1));
+    }
+
+    #[test]
     fn a_bent_picture_shows_its_places_where_the_drawing_has_them() {
         let mut frame = picture(0, [0, 0, 40, 30]);
         frame.rgb = (0..40 * 30).flat_map(|i| [5 * (i % 40) as u8, 6 * (i / 40) as u8, 9]).collect();
