@@ -172,6 +172,10 @@ mod tests {
         assert_eq!(whole, [(0, 480), (2, 480)], "enlarged");
         let sizes: Vec<u32> = detail.capture.frames.iter().map(|frame| frame.width).collect();
         assert!(sizes[0] < 240 && sizes[1] == 480, "a head before each whole picture: {sizes:?}");
+        let [head, whole] = [0, 1].map(|k| &detail.capture.frames[k]);
+        let (x, y) = (head.x0 + head.width / 2, head.y0 + head.height / 2);
+        let [close, far] = [head, whole].map(|f| f.mask[((y - f.y0) * f.width + x - f.x0) as usize]);
+        assert_eq!((close, far), (255, 0), "the close-up alone tells the head");
         assert!(detail.config.field.n_levels > 3 && detail.config.field.log2_hashmap_size == LOG2_HASHMAP_SIZE);
         let start = detail.start(&fitted, &config);
         assert_eq!((start.n_frames(), start.stage), (4, Stage::Texture));
