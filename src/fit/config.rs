@@ -272,9 +272,9 @@ impl FitConfig {
     }
 
     /// Some last passes with the texture alone, on larger pictures ([`super::detail`]).
-    pub fn detailed(self) -> Self {
+    pub fn detailed(self, passes: u32) -> Self {
         let mut config = self.texture_alone();
-        config.texture.phases.iter_mut().for_each(|phase| phase.epochs = DETAIL);
+        config.texture.phases.iter_mut().for_each(|phase| phase.epochs = passes);
         Self { pixel_rate: 1.0, most_pixels: Some(MOST_PIXELS), facing: true, light_stands: true, ..config }
     }
 
@@ -354,8 +354,7 @@ const FINE: Phase = Phase { level: 0, sigma: 2e-5, depth_softness_m: 0.01, ..COA
 /// Passes of [`FitConfig::texture_alone`].
 const ALONE: u32 = 6;
 
-/// Passes of [`FitConfig::detailed`], and the pixels of a frame in one of them.
-const DETAIL: u32 = 8;
+/// Pixels of a frame in a pass of [`FitConfig::detailed`].
 const MOST_PIXELS: usize = 30_000;
 
 const TEXTURED: Phase = Phase { preconditioner: Preconditioner::LargeSteps { lambda: 4.0 }, pose_rate: 0.5, ..FINE };

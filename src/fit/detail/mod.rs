@@ -3,7 +3,8 @@
 //! A fit looks at pictures that are scaled down: shape and poses gain little by more pixels and cost as many times more. A
 //! face, a print or a seam shows what it is in the uploaded ones. So in the end the texture alone goes on with these, in some of
 //! the frames. Half of them are close-ups of the head, since a whole picture gives a face few of the pixels that a step looks at;
-//! a whole picture then teaches the rest. Each picture is first bent to lie where the texture shows what it shows.
+//! a whole picture then teaches the rest. Each picture is first bent to lie where the texture shows what it shows; the clearer the
+//! texture, the better it tells that, so there are [`ROUNDS`].
 //!
 //! Small pictures are enlarged first. Between the places that pixels of few frames hit a texture shows whatever it likes, as specks and
 //! lines on a face; an enlarged picture says there what lies between its pixels.
@@ -18,7 +19,7 @@ mod warp;
 
 pub use self::pictures::square_around;
 use self::pictures::{cut, enlarge, shrink, take_out};
-pub use self::plan::DetailPlan;
+pub use self::plan::{DetailPlan, ROUNDS};
 use super::config::FitConfig;
 use super::state::{FitState, Stage};
 use crate::body::joints::HEAD;
@@ -42,8 +43,9 @@ const SEAM_PX: u32 = 4;
 /// The texture's way on: a fit of its own, in which all else stands.
 pub struct Detail {
     /// Each frame's close-up of the head, where it shows one, and then the whole picture, whose mask lacks what the close-up shows.
-    pub capture: Capture,
+    capture: Capture,
     pub camera: Camera,
+    /// Of the last round.
     pub config: FitConfig,
     /// `[capture's frames]`: of the fit's.
     frames: Vec<usize>,
@@ -78,7 +80,7 @@ impl Detail {
             frames.push(k);
             pictures.push(picture);
         }
-        let mut config = config.clone().detailed();
+        let mut config = config.clone().detailed(ROUNDS[ROUNDS.len() - 1]);
         config.field = config.field.refined(cell(body, fitted, &camera), LOG2_HASHMAP_SIZE);
         Self {
             capture: Capture { frames: pictures, camera: camera.clone(), poses: None, ..large },
@@ -86,6 +88,11 @@ impl Detail {
             config,
             frames,
         }
+    }
+
+    /// What the texture's fit has in each round.
+    pub fn rounds(&self) -> [FitConfig; ROUNDS.len()] {
+        ROUNDS.map(|passes| self.config.clone().detailed(passes))
     }
 
     /// The whole pictures, each with its frame of the fit.

@@ -14,6 +14,7 @@ use super::registration::{Picture, shift};
 use super::warp::{Warp, bend};
 use crate::body::Body;
 use crate::camera::Camera;
+use crate::capture::{Capture, Frame};
 use crate::fit::appearance::{Appearance as _, Texture, cosines, well_inside};
 use crate::fit::config::FitConfig;
 use crate::fit::frames::{DeviceFrame, FrameLevel};
@@ -39,18 +40,19 @@ struct Seen {
 }
 
 impl Detail {
-    /// Moves the close-ups of `start` to where its texture shows them, each across the camera's view, and bends all pictures. Asks
-    /// `go_on` between them. Waits.
+    /// The pictures, bent to lie where the texture of `start` shows the same. Before that its close-ups are moved to where they are shown,
+    /// each across the camera's view. Asks `go_on` between pictures. Waits.
     ///
     /// # Errors
     /// [`FitError::Device`], [`FitError::Stopped`].
     pub fn place(
-        &mut self,
+        &self,
         gpu: &Arc<Gpu>,
         body: &Body,
         start: &mut FitState,
         go_on: &mut dyn FnMut() -> bool,
-    ) -> Result<(), FitError> {
+    ) -> Result<Capture, FitError> {
+        let mut placed = self.capture.clone();
         let seen = self.seen(gpu, body, start)?;
         let close_ups: Vec<usize> = self.close_ups().collect();
         let all: Vec<usize> = (0..self.frames.len()).collect();
@@ -66,14 +68,14 @@ impl Detail {
                 (*k, shift.map(|px| px / metre), Warp::between(drawn, filmed, shift, metre))
             });
             for (k, across, warp) in lie.collect::<Vec<_>>() {
-                self.bend(k, &seen.level(k).camera, &warp);
+                self.bend(&mut placed.frames[k], &seen.level(k).camera, &warp);
                 for (c, place) in start.transl[3 * k..][..3].iter_mut().enumerate() {
                     // The rows of a camera's rotation are its axes.
                     *place += (across[0] * self.camera.rotation[c] + across[1] * self.camera.rotation[3 + c]) as f32;
                 }
             }
         }
-        Ok(())
+        Ok(placed)
     }
 
     /// Pixels of a metre at the person in picture `k`.
@@ -82,9 +84,8 @@ impl Detail {
         self.camera.fx / self.camera.view(place)[2].max(0.1)
     }
 
-    /// Bends picture `k`, which was compared as `camera` sees it.
-    fn bend(&mut self, k: usize, camera: &Camera, warp: &Warp) {
-        let picture = &mut self.capture.frames[k];
+    /// Bends a picture that was compared as `camera` sees it.
+    fn bend(&self, picture: &mut Frame, camera: &Camera, warp: &Warp) {
         let scale = self.camera.fx / camera.fx;
         // The device's picture has some room around it.
         let room = [camera.cx - self.camera.cx / scale, camera.cy - self.camera.cy / scale];
@@ -177,7 +178,7 @@ mod tests {
     }
 
     /// The mean difference of the colours where both masks are.
-    fn difference(picture: &crate::capture::Frame, (rgb, mask): &(Vec<u8>, Vec<u8>)) -> f64 {
+    fn difference(picture: &Frame, (rgb, mask): &(Vec<u8>, Vec<u8>)) -> f64 {
         let both = |i: &usize| mask[*i] == 255 && picture.mask[*i] == 255;
         let (n, sum) = (0..mask.len()).filter(both).fold((0.0, 0.0), |(n, sum), i| {
             let of = |c: usize| f64::from(picture.rgb[3 * i + c].abs_diff(rgb[3 * i + c]));
@@ -217,16 +218,16 @@ mod tests {
         start.transl[3 * 2 + 1] -= 0.008;
         start.transl[3] += 0.006;
         let before = difference(&detail.capture.frames[1], &shown(&gpu, &detail, &body, &start)[1]);
-        detail.place(&gpu, &body, &mut start, &mut || true).unwrap();
+        let placed = detail.place(&gpu, &body, &mut start, &mut || true).unwrap();
         for k in [0, 2] {
             for c in 3 * k..3 * k + 3 {
                 assert!((start.transl[c] - truth.transl[c]).abs() < 0.0005, "{:?}", start.transl);
             }
         }
         assert_eq!(start.transl[3..6], [0.006, 0.0, 2.0], "whole pictures stay");
-        let after = difference(&detail.capture.frames[1], &shown(&gpu, &detail, &body, &start)[1]);
+        let after = difference(&placed.frames[1], &shown(&gpu, &detail, &body, &start)[1]);
         assert!(after < 0.5 * before, "{before} and then {after} of 255");
-        let placed = detail.place(&gpu, &body, &mut start, &mut || false);
-        assert!(matches!(placed, Err(FitError::Stopped)));
+        let stopped = detail.place(&gpu, &body, &mut start, &mut || false);
+        assert!(matches!(stopped, Err(FitError::Stopped)));
     }
 }

@@ -15,6 +15,9 @@ const LEAST_GAIN: f64 = 1.25;
 /// Pictures in which the person has no more than this part of [`MOST_PX`] are enlarged by this.
 const ENLARGED: u32 = 2;
 
+/// Passes of each round: a texture that has learned some of pictures in their places shows better where these are.
+pub const ROUNDS: [u32; 3] = [2, 2, 6];
+
 /// Which frames are looked at once more, and how large.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DetailPlan {
@@ -49,8 +52,8 @@ impl DetailPlan {
 
     /// Steps after a fit with `config`, if each frame has its close-up.
     pub fn steps(&self, config: &FitConfig) -> u32 {
-        let detailed = config.clone().detailed();
-        detailed.steps(&detailed.texture.phases, 2 * self.kept.len())
+        let rounds = ROUNDS.map(|passes| config.clone().detailed(passes));
+        rounds.iter().map(|round| round.steps(&round.texture.phases, 2 * self.kept.len())).sum()
     }
 
     /// The fit's own pictures of the frames, where there are no larger ones.

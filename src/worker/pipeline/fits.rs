@@ -6,14 +6,14 @@ use std::sync::Arc;
 
 use super::monitor::Monitor;
 use super::{PipelineError, Stage, StopReason};
-use crate::fit::detail::Detail;
+use crate::fit::detail::{Detail, ROUNDS};
 use crate::fit::{self, FitError, FitState, Inputs};
 use crate::gpu::Gpu;
 
 /// Checkpoints in a job's folder.
 pub(super) const PERSON: &str = "checkpoint.npz";
 const TAILORED: &str = "tailored.npz";
-const DETAILED: &str = "detailed.npz";
+const DETAILED: [&str; ROUNDS.len()] = ["detailed-1.npz", "detailed-2.npz", "detailed-3.npz"];
 
 pub(super) struct Fits<'a, 'm> {
     gpu: &'a Arc<Gpu>,
@@ -40,7 +40,8 @@ impl<'a, 'm> Fits<'a, 'm> {
         }
         if state.stage != fit::Stage::Done {
             // What lies there is of an earlier fit.
-            [TAILORED, DETAILED].iter().for_each(|later| drop(std::fs::remove_file(self.work_dir.join(later))));
+            let later = std::iter::once(TAILORED).chain(DETAILED);
+            later.for_each(|later| drop(std::fs::remove_file(self.work_dir.join(later))));
         }
         self.count_texture_steps(inputs);
         self.monitor.start(Stage::Geometry)?;
@@ -65,22 +66,40 @@ impl<'a, 'm> Fits<'a, 'm> {
     pub fn detailed(
         &mut self,
         before: &Inputs<'_>,
-        detail: &mut Detail,
+        detail: &Detail,
         fitted: FitState,
     ) -> Result<FitState, PipelineError> {
-        let checkpoint = self.work_dir.join(DETAILED);
-        let mut fresh = detail.start(&fitted, before.config);
-        // Where a checkpoint is gone on from, too: the pictures are bent besides, and no checkpoint has pictures.
-        let placed = detail.place(self.gpu, before.body, &mut fresh, &mut || self.monitor.go_on());
-        placed.map_err(|error| from_fit(error, self.monitor.stopped))?;
-        // Drawn is the whole person still: the first of the detail's pictures may be of a head.
-        let whole = Inputs { config: &detail.config, ..*before };
-        let state = self.resumed(&whole, fresh, &checkpoint);
-        self.monitor.go_on_with(&checkpoint, self.texture_steps);
         // Sums over other pictures are no part of the same curves.
         self.monitor.draws_curves = false;
-        let inputs = Inputs { capture: &detail.capture, camera: &detail.camera, ..whole };
-        Ok(Detail::end(fitted, self.run(&inputs, state, &checkpoint)?))
+        let (mut state, mut steps_before) = (detail.start(&fitted, before.config), self.texture_steps);
+        for (config, checkpoint) in detail.rounds().iter().zip(DETAILED) {
+            let fresh = FitState { stage: fit::Stage::Texture, step: 0, ..state };
+            let whole = Inputs { config, ..*before };
+            state = self.round(&whole, detail, fresh, &self.work_dir.join(checkpoint), steps_before)?;
+            steps_before += config.steps(&config.texture.phases, state.n_frames());
+        }
+        Ok(Detail::end(fitted, state))
+    }
+
+    /// One round of the detail; `whole` has its configuration, and the clip of the fit.
+    fn round(
+        &mut self,
+        whole: &Inputs<'_>,
+        detail: &Detail,
+        mut fresh: FitState,
+        checkpoint: &Path,
+        steps_before: u32,
+    ) -> Result<FitState, PipelineError> {
+        if let Some(ended) = saved(&fresh, checkpoint).filter(|state| state.stage == fit::Stage::Done) {
+            return Ok(ended);
+        }
+        // Where a checkpoint is gone on from, too: it has no pictures.
+        let placed = detail.place(self.gpu, whole.body, &mut fresh, &mut || self.monitor.go_on());
+        let placed = placed.map_err(|error| from_fit(error, self.monitor.stopped))?;
+        // Drawn is the whole person still: the first of the detail's pictures may be of a head.
+        let state = self.resumed(whole, fresh, checkpoint);
+        self.monitor.go_on_with(checkpoint, steps_before);
+        self.run(&Inputs { capture: &placed, camera: &detail.camera, ..*whole }, state, checkpoint)
     }
 
     /// Where the fit goes on from, and a picture of it.

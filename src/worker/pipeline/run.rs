@@ -68,9 +68,9 @@ pub fn run(
         Some(plan) => larger_pictures(input, plan, &mut capture, &measures, fits.monitor)?,
         None => None,
     };
-    let mut detail =
+    let detail =
         plan.zip(large).map(|(plan, large)| Detail::new(&body, &capture, camera, &config, &state, &plan, large));
-    if let Some(detail) = &mut detail {
+    if let Some(detail) = &detail {
         let before = Inputs { body: &body, capture: &capture, camera, config: &config };
         state = fits.detailed(&before, detail, state)?;
         config.field = detail.config.field;

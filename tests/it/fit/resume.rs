@@ -2,6 +2,7 @@
 
 use effigy::body::N_POSE;
 use effigy::body::joints::LEFT_ELBOW;
+use effigy::fit::detail::ROUNDS;
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, Inputs, StepReport};
 use effigy::npz::{Npz, NpzWriter};
 use effigy::worker::pipeline::{PipelineError, Progress, Stage, StopReason};
@@ -116,18 +117,21 @@ fn what_comes_after_the_fit_ends_the_same_wherever_it_is_stopped() {
 
     let draft = FitConfig::draft(0);
     let [fit, cloth] = [&draft, &draft.clone().texture_alone()].map(|config| config.steps(&config.texture.phases, 12));
-    for at in [fit + 4, fit + 5, fit + cloth + 3, fit + cloth + 9] {
+    // Of each frame a close-up and the whole.
+    let first_round = draft.clone().detailed(ROUNDS[0]);
+    let first_round = fit + cloth + first_round.steps(&first_round.texture.phases, 2 * 12);
+    for at in [fit + 4, fit + 5, fit + cloth + 3, first_round + 2, first_round + 9] {
         let mut witness = Witness { stop_at: Some((Stage::Texture, at)), ..Witness::default() };
         run(&gpu, &input(clip(&gpu)), stopped.path(), &mut witness).unwrap_err();
         let last = witness.heard.last().map(|p| (p.stage, p.step));
         assert_eq!(last, Some((Stage::Texture, at)));
     }
-    assert!(stopped.path().join("work/detailed.npz").exists());
+    assert!(stopped.path().join("work/detailed-2.npz").exists());
     run(&gpu, &input(clip(&gpu)), stopped.path(), &mut Witness::default()).unwrap();
     for file in ["model.npz", "avatar.glb", "avatar.vrm", "texture.png"] {
         let [whole, stopped] =
             [&whole, &stopped].map(|folder| std::fs::read(folder.path().join("out").join(file)).unwrap());
-        assert!(whole == stopped, "{file} of a fit that was stopped four times is another");
+        assert!(whole == stopped, "{file} of a fit that was stopped five times is another");
     }
 }
 
