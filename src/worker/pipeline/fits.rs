@@ -40,8 +40,7 @@ impl<'a, 'm> Fits<'a, 'm> {
         }
         if state.stage != fit::Stage::Done {
             // What lies there is of an earlier fit.
-            let later = std::iter::once(TAILORED).chain(DETAILED);
-            later.for_each(|later| drop(std::fs::remove_file(self.work_dir.join(later))));
+            std::iter::once(TAILORED).chain(DETAILED).for_each(|later| self.forget(later));
         }
         self.count_texture_steps(inputs);
         self.monitor.start(Stage::Geometry)?;
@@ -71,14 +70,33 @@ impl<'a, 'm> Fits<'a, 'm> {
     ) -> Result<FitState, PipelineError> {
         // Sums over other pictures are no part of the same curves.
         self.monitor.draws_curves = false;
-        let (mut state, mut steps_before) = (detail.start(&fitted, before.config), self.texture_steps);
-        for (config, checkpoint) in detail.rounds().iter().zip(DETAILED) {
-            let fresh = FitState { stage: fit::Stage::Texture, step: 0, ..state };
-            let whole = Inputs { config, ..*before };
-            state = self.round(&whole, detail, fresh, &self.work_dir.join(checkpoint), steps_before)?;
+        let fresh = detail.start(&fitted, before.config);
+        let (ended, mut state) = self.ended_rounds(&fresh).unwrap_or((0, fresh));
+        let mut steps_before = self.texture_steps;
+        for (round, config) in detail.rounds().iter().enumerate() {
+            if round >= ended {
+                let fresh = FitState { stage: fit::Stage::Texture, step: 0, ..state };
+                let whole = Inputs { config, ..*before };
+                state = self.round(&whole, detail, fresh, &self.work_dir.join(DETAILED[round]), steps_before)?;
+                // What the round began from is of no use any more, and a disk may be full.
+                DETAILED[..round].iter().for_each(|earlier| self.forget(earlier));
+            }
             steps_before += config.steps(&config.texture.phases, state.n_frames());
         }
         Ok(Detail::end(fitted, state))
+    }
+
+    /// How many rounds of the detail that begins as `fresh` have ended, and how the last one did.
+    fn ended_rounds(&self, fresh: &FitState) -> Option<(usize, FitState)> {
+        let ended = |round: usize| {
+            let state = saved(fresh, &self.work_dir.join(DETAILED[round]))?;
+            (state.stage == fit::Stage::Done).then_some((round + 1, state))
+        };
+        (0..DETAILED.len()).rev().find_map(ended)
+    }
+
+    fn forget(&self, checkpoint: &str) {
+        drop(std::fs::remove_file(self.work_dir.join(checkpoint)));
     }
 
     /// One round of the detail; `whole` has its configuration, and the clip of the fit.
@@ -90,9 +108,6 @@ impl<'a, 'm> Fits<'a, 'm> {
         checkpoint: &Path,
         steps_before: u32,
     ) -> Result<FitState, PipelineError> {
-        if let Some(ended) = saved(&fresh, checkpoint).filter(|state| state.stage == fit::Stage::Done) {
-            return Ok(ended);
-        }
         // Where a checkpoint is gone on from, too: it has no pictures.
         let placed = detail.place(self.gpu, whole.body, &mut fresh, &mut || self.monitor.go_on());
         let placed = placed.map_err(|error| from_fit(error, self.monitor.stopped))?;

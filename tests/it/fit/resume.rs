@@ -118,15 +118,19 @@ fn what_comes_after_the_fit_ends_the_same_wherever_it_is_stopped() {
     let draft = FitConfig::draft(0);
     let [fit, cloth] = [&draft, &draft.clone().texture_alone()].map(|config| config.steps(&config.texture.phases, 12));
     // Of each frame a close-up and the whole.
-    let first_round = draft.clone().detailed(ROUNDS[0]);
-    let first_round = fit + cloth + first_round.steps(&first_round.texture.phases, 2 * 12);
-    for at in [fit + 4, fit + 5, fit + cloth + 3, first_round + 2, first_round + 9] {
+    let [first, second, _] = ROUNDS.map(|passes| {
+        let round = draft.clone().detailed(passes);
+        round.steps(&round.texture.phases, 2 * 12)
+    });
+    let detail = fit + cloth;
+    for at in [fit + 4, fit + 5, detail + 3, detail + first + 2, detail + first + second + 9] {
         let mut witness = Witness { stop_at: Some((Stage::Texture, at)), ..Witness::default() };
         run(&gpu, &input(clip(&gpu)), stopped.path(), &mut witness).unwrap_err();
         let last = witness.heard.last().map(|p| (p.stage, p.step));
         assert_eq!(last, Some((Stage::Texture, at)));
     }
-    assert!(stopped.path().join("work/detailed-2.npz").exists());
+    let kept = [1, 2, 3].map(|round| stopped.path().join(format!("work/detailed-{round}.npz")).exists());
+    assert_eq!(kept, [false, true, true], "what the last round began from, and where it is");
     run(&gpu, &input(clip(&gpu)), stopped.path(), &mut Witness::default()).unwrap();
     for file in ["model.npz", "avatar.glb", "avatar.vrm", "texture.png"] {
         let [whole, stopped] =
