@@ -19,7 +19,7 @@ mod warp;
 
 pub use self::pictures::square_around;
 use self::pictures::{cut, enlarge, shrink, take_out};
-pub use self::plan::{DetailPlan, ROUNDS};
+pub use self::plan::{DetailPlan, ROUNDS, rounds};
 use super::config::FitConfig;
 use super::state::{FitState, Stage};
 use crate::body::joints::HEAD;
@@ -88,11 +88,6 @@ impl Detail {
             config,
             frames,
         }
-    }
-
-    /// What the texture's fit has in each round.
-    pub fn rounds(&self) -> [FitConfig; ROUNDS.len()] {
-        ROUNDS.map(|passes| self.config.clone().detailed(passes))
     }
 
     /// The whole pictures, each with its frame of the fit.

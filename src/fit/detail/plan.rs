@@ -18,6 +18,11 @@ const ENLARGED: u32 = 2;
 /// Passes of each round: a texture that has learned some of pictures in their places shows better where these are.
 pub const ROUNDS: [u32; 3] = [2, 2, 6];
 
+/// What the texture's fit has in each round, after a fit with `config`.
+pub fn rounds(config: &FitConfig) -> [FitConfig; ROUNDS.len()] {
+    ROUNDS.map(|passes| config.clone().detailed(passes))
+}
+
 /// Which frames are looked at once more, and how large.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DetailPlan {
@@ -52,8 +57,7 @@ impl DetailPlan {
 
     /// Steps after a fit with `config`, if each frame has its close-up.
     pub fn steps(&self, config: &FitConfig) -> u32 {
-        let rounds = ROUNDS.map(|passes| config.clone().detailed(passes));
-        rounds.iter().map(|round| round.steps(&round.texture.phases, 2 * self.kept.len())).sum()
+        rounds(config).iter().map(|round| round.steps(&round.texture.phases, 2 * self.kept.len())).sum()
     }
 
     /// The fit's own pictures of the frames, where there are no larger ones.

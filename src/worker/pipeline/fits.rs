@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::monitor::Monitor;
 use super::{PipelineError, Stage, StopReason};
-use crate::fit::detail::{Detail, ROUNDS};
+use crate::fit::detail::{Detail, ROUNDS, rounds};
 use crate::fit::{self, FitError, FitState, Inputs};
 use crate::gpu::Gpu;
 
@@ -73,7 +73,7 @@ impl<'a, 'm> Fits<'a, 'm> {
         let fresh = detail.start(&fitted, before.config);
         let (ended, mut state) = self.ended_rounds(&fresh).unwrap_or((0, fresh));
         let mut steps_before = self.texture_steps;
-        for (round, config) in detail.rounds().iter().enumerate() {
+        for (round, config) in rounds(&detail.config).iter().enumerate() {
             if round >= ended {
                 let fresh = FitState { stage: fit::Stage::Texture, step: 0, ..state };
                 let whole = Inputs { config, ..*before };

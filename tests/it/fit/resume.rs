@@ -2,7 +2,7 @@
 
 use effigy::body::N_POSE;
 use effigy::body::joints::LEFT_ELBOW;
-use effigy::fit::detail::ROUNDS;
+use effigy::fit::detail::rounds;
 use effigy::fit::{self, Control, FitConfig, FitError, FitState, Flow, Inputs, StepReport};
 use effigy::npz::{Npz, NpzWriter};
 use effigy::worker::pipeline::{PipelineError, Progress, Stage, StopReason};
@@ -118,10 +118,7 @@ fn what_comes_after_the_fit_ends_the_same_wherever_it_is_stopped() {
     let draft = FitConfig::draft(0);
     let [fit, cloth] = [&draft, &draft.clone().texture_alone()].map(|config| config.steps(&config.texture.phases, 12));
     // Of each frame a close-up and the whole.
-    let [first, second, _] = ROUNDS.map(|passes| {
-        let round = draft.clone().detailed(passes);
-        round.steps(&round.texture.phases, 2 * 12)
-    });
+    let [first, second, _] = rounds(&draft).map(|round| round.steps(&round.texture.phases, 2 * 12));
     let detail = fit + cloth;
     for at in [fit + 4, fit + 5, detail + 3, detail + first + 2, detail + first + second + 9] {
         let mut witness = Witness { stop_at: Some((Stage::Texture, at)), ..Witness::default() };
