@@ -131,6 +131,8 @@ pub struct FitConfig {
     pub light: bool,
     /// Whether the light stands as the fit's start has it; else each phase solves it anew.
     pub light_stands: bool,
+    /// Whether exposure and white balance that the camera has changed are taken out of the pictures ([`super::gains`]).
+    pub gains: bool,
     /// Whether the texture is told the colours of what no frame shows, by its surroundings and the body's other half.
     pub fill_unseen: bool,
     /// Whether cloth from leg to leg is looked for in the end, filled and carried by both legs ([`super::skirt`]).
@@ -205,6 +207,7 @@ impl FitConfig {
             hip_keypoints: true,
             light: true,
             light_stands: false,
+            gains: true,
             fill_unseen: true,
             skirts: true,
             covered: true,
@@ -298,7 +301,7 @@ impl FitConfig {
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
         config.fill_unseen = false;
-        (config.skirts, config.covered, config.detail) = (false, false, false);
+        (config.gains, config.skirts, config.covered, config.detail) = (false, false, false, false);
         config.min_steps_a_pass = 1;
         config.rates.offsets = DIRECT_OFFSET_RATE;
         config.frame_sampling = FrameSampling::Uniform;

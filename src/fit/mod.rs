@@ -10,6 +10,7 @@ pub mod covered;
 pub mod detail;
 mod frame_step;
 mod frames;
+pub mod gains;
 mod groups;
 mod keypoint_term;
 mod losses;

@@ -53,6 +53,8 @@ pub struct FitFindings<'a> {
     /// The undressed body's height where it was guessed, and what it is expected to be, metres
     pub guessed_height_m: Option<f64>,
     pub usual_height_m: f64,
+    /// The brightest frame's exposure over the darkest one's, in the channel in which they differ most, where the camera has changed it
+    pub exposure_spread: Option<f64>,
     /// Where cloth ends that hangs from leg to leg, from hip (0) to ankle (1)
     pub hem: Option<f64>,
 }
@@ -66,6 +68,7 @@ pub fn fit_flags(found: &FitFindings<'_>) -> Vec<Flag> {
         focal_suspicious(found),
         focal_contradicted(found),
         height_unusual(found),
+        exposure_changes(found),
         keypoints_noisy(found),
         sides_swapped(found),
         fit_misses(found),
@@ -156,6 +159,15 @@ fn height_unusual(found: &FitFindings<'_>) -> Option<Flag> {
     ((guessed - usual).abs() > HEIGHT_OFF_M).then(|| Flag::of_clip(Kind::HeightUnusual, message, guessed, limit))
 }
 
+fn exposure_changes(found: &FitFindings<'_>) -> Option<Flag> {
+    let spread = found.exposure_spread?;
+    let message = format!(
+        "the camera changed its exposure or white balance by up to {:.0} percent; the pictures were evened out",
+        100.0 * (spread - 1.0)
+    );
+    Some(Flag::of_clip(Kind::ExposureChanges, message, spread, 1.0))
+}
+
 fn cloth_between_legs(found: &FitFindings<'_>) -> Option<Flag> {
     let hem = found.hem?;
     let message = format!("a skirt or coat hangs from leg to leg, over {:.0} percent of their length", 100.0 * hem);
@@ -243,6 +255,7 @@ mod tests {
             keypoint_residuals: &[0.003; 40],
             guessed_height_m: Some(1.68),
             usual_height_m: 1.65,
+            exposure_spread: None,
             hem: None,
         };
         assert_eq!(fit_flags(&good), []);
@@ -269,6 +282,9 @@ mod tests {
         let flags = fit_flags(&FitFindings { hem: Some(0.52), ..good.clone() });
         assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("cloth_between_legs", 0.52)]);
         assert!(flags[0].message.contains("52 percent"), "{}", flags[0].message);
+        let flags = fit_flags(&FitFindings { exposure_spread: Some(1.42), ..good.clone() });
+        assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("exposure_changes", 1.42)]);
+        assert!(flags[0].message.contains("42 percent"), "{}", flags[0].message);
         let flags = fit_flags(&FitFindings { keypoint_residuals: &[0.004, 0.011, 0.012], ..good.clone() });
         assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("keypoints_noisy", 0.011)]);
         assert!(flags[0].message.contains("1.1 percent"), "{}", flags[0].message);

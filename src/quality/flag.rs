@@ -24,6 +24,7 @@ pub enum Kind {
     FocalSuspicious,
     FocalContradicted,
     HeightUnusual,
+    ExposureChanges,
     ClothBetweenLegs,
     Spikes,
     FlippedFaces,
@@ -31,7 +32,7 @@ pub enum Kind {
 }
 
 /// In the order in which reports show them.
-pub const KINDS: [Kind; 23] = [
+pub const KINDS: [Kind; 24] = [
     Kind::NoFullTurn,
     Kind::FewFrames,
     Kind::LowResolution,
@@ -41,6 +42,7 @@ pub const KINDS: [Kind; 23] = [
     Kind::FocalSuspicious,
     Kind::FocalContradicted,
     Kind::HeightUnusual,
+    Kind::ExposureChanges,
     Kind::KeypointsOffMask,
     Kind::FewKeypoints,
     Kind::KeypointsNoisy,
@@ -80,6 +82,7 @@ impl Kind {
             Kind::FocalSuspicious => "focal_suspicious",
             Kind::FocalContradicted => "focal_contradicted",
             Kind::HeightUnusual => "height_unusual",
+            Kind::ExposureChanges => "exposure_changes",
             Kind::ClothBetweenLegs => "cloth_between_legs",
             Kind::Spikes => "spikes",
             Kind::FlippedFaces => "flipped_faces",
@@ -109,6 +112,7 @@ impl Kind {
             Kind::FocalSuspicious => "degrees along the longer side",
             Kind::FocalContradicted => "focal length that the clip tells, over the given one",
             Kind::HeightUnusual => "metres, undressed",
+            Kind::ExposureChanges => "brightest over darkest frame",
             Kind::ClothBetweenLegs => "of the way from hip to ankle, where its hem is",
             Kind::Spikes => "vertices",
             Kind::FlippedFaces | Kind::UnseenArea => "of the surface",
@@ -167,6 +171,9 @@ impl Kind {
             Kind::HeightUnusual => {
                 "Give the person's height (`height_m`): one camera cannot measure it, and with it the body's proportions come out \
                  better, too."
+            }
+            Kind::ExposureChanges => {
+                "Lock exposure and white balance before filming (on many phones by a long touch on the person), and keep the light as it is."
             }
             Kind::ClothBetweenLegs => {
                 "Nothing is to be done where poses look right: the legs alone carry this cloth, and how it falls when they part \

@@ -18,13 +18,13 @@ pub struct Observation {
 }
 
 /// Residuals beyond this count linearly: wrong geometry is no light.
-const ROBUST: f32 = 0.05;
+pub(super) const ROBUST: f32 = 0.05;
 
 /// No part of a body is darker than this part of its mean look.
-const MIN_SHADE: f32 = 0.05;
+pub(super) const MIN_SHADE: f32 = 0.05;
 
 /// From here on a camera shows everything brighter alike. What is brighter than such a colour does not contradict it.
-const WHITE: f32 = 0.97;
+pub(super) const WHITE: f32 = 0.97;
 
 /// What makes up a shade, each with a weight of its own that is not below zero: ambient light from everywhere, from the camera's
 /// side and from above ([`Light::slope`]), and the lamp.
@@ -70,7 +70,7 @@ pub(super) struct Solved {
 }
 
 /// Whether a channel of an observation says something about what would be `bright`.
-fn tells(colour: f32, bright: f32) -> bool {
+pub(super) fn tells(colour: f32, bright: f32) -> bool {
     colour < WHITE || bright < colour
 }
 

@@ -53,21 +53,25 @@ pub fn solve_face_colours(
 }
 
 /// The light that explains the observations best, and what of it reaches each vertex in each frame.
-fn solve(
+pub(super) fn solve(
     scene: &Scene,
     faces: &[[u32; 3]],
     observations: &[Observation],
     level: usize,
     clip: &PosedClip<'_>,
 ) -> (Light, Vec<Vec<Exposure>>) {
-    // One camera takes the whole clip; its y points down and its z forward.
-    let [_, _, _, ux, uy, uz, fx, fy, fz] = scene.frames[0].levels[level].camera.rotation.map(|x| x as f32);
-    let sky = Sky::new([-ux, -uy, -uz], [fx, fy, fz]);
+    let sky = sky(scene, level);
     let light = solve_light(observations, faces.len(), &sky);
     if light.has_lamp() {
         return solve_shadowed_light(observations, faces, &light, &sky, clip);
     }
     (light, clip.exposures(&light))
+}
+
+/// One camera takes the whole clip; its y points down and its z forward.
+pub(super) fn sky(scene: &Scene, level: usize) -> Sky {
+    let [_, _, _, ux, uy, uz, fx, fy, fz] = scene.frames[0].levels[level].camera.rotation.map(|x| x as f32);
+    Sky::new([-ux, -uy, -uz], [fx, fy, fz])
 }
 
 /// `[F]`: the pixels well inside the masks that showed each face, each by the square of its shade: its weight in the least squares
@@ -87,7 +91,7 @@ fn lit_counts(
 }
 
 /// What each frame shows of each face. With `lit` each frame's body goes to `clip`; without it the normals are zero.
-fn observe(
+pub(super) fn observe(
     scene: &Scene,
     n_faces: usize,
     lit: Option<&Lit>,

@@ -3,6 +3,7 @@
 mod albedo;
 mod faces;
 mod facing;
+mod gains;
 mod lamp;
 mod lit;
 mod mean_colours;
@@ -16,6 +17,7 @@ mod unseen;
 
 pub use faces::FaceColours;
 pub use facing::cosines;
+pub use gains::solve_gains;
 pub use lit::Lit;
 pub use mean_colours::{solve_face_colours, well_inside};
 pub use shadows::cast_shadows;

@@ -16,6 +16,7 @@ use crate::body::Body;
 use crate::capture::Capture;
 use crate::fit::covered::Covered;
 use crate::fit::detail::Detail;
+use crate::fit::gains::FrameGains;
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{FocalCheck, Stage0Result};
 use crate::fit::{FitConfig, FitState};
@@ -32,6 +33,8 @@ pub(super) struct Fitted {
     pub measures: Vec<FrameMeasures>,
     /// What the clip says of the camera that came with it.
     pub focal: Option<FocalCheck>,
+    /// What the camera has changed from frame to frame; `capture` has lost it.
+    pub gains: Option<FrameGains>,
     pub start: Stage0Result,
     pub state: FitState,
     /// What shoes and hair cover; `body` has lost it.
@@ -157,6 +160,7 @@ fn report(
             "swapped_frames": fitted.swapped_frames(),
             "notes": fitted.start.report.notes,
         },
+        "frame_gains": fitted.gains.as_ref().map(FrameGains::gains),
         "covered": fitted.covered,
         "detail": fitted.detail.as_ref().map(|detail| json!({
             "side_px": detail.camera.width.max(detail.camera.height),

@@ -146,7 +146,7 @@ fn saved(fresh: &FitState, checkpoint: &Path) -> Option<FitState> {
     fresh.resume(checkpoint).ok().flatten()
 }
 
-fn from_fit(error: FitError, stopped: Option<StopReason>) -> PipelineError {
+pub(super) fn from_fit(error: FitError, stopped: Option<StopReason>) -> PipelineError {
     let detail = error.to_string();
     match error {
         FitError::Stopped => PipelineError::Stopped(stopped.unwrap_or(StopReason::Shutdown)),

@@ -3,6 +3,7 @@
 use super::export::Fitted;
 use super::score::FrameScore;
 use crate::avatar::{AvatarModel, view_space};
+use crate::fit::gains::FrameGains;
 use crate::fit::stage0::{ADULT_STATURE, FOCAL_OFF, FocalCheck};
 use crate::quality::{self, ContradictedFocal, FitFindings, Flag, FrameMeasures, SurfaceCheck};
 
@@ -34,6 +35,7 @@ impl<'a> Quality<'a> {
             keypoint_residuals: &residuals,
             guessed_height_m: fitted.start.report.guessed_height_m,
             usual_height_m: ADULT_STATURE,
+            exposure_spread: fitted.gains.as_ref().map(FrameGains::spread),
             hem: fitted.skirt.map(|skirt| f64::from(skirt.hem)),
         };
         let surface = quality::check_surface(&model.rest_vertices(), &undressed, &model.body.faces, seen);

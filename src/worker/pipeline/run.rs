@@ -6,15 +6,17 @@ use std::sync::Arc;
 use anyhow::anyhow;
 
 use super::curves::Curves;
-use super::fits::{Fits, PERSON};
+use super::fits::{Fits, PERSON, from_fit};
 use super::made_by::begin_anew_for_others;
 use super::monitor::Monitor;
 use super::{Observer, Outcome, PipelineError, PipelineInput, Stage, StopReason, export};
 use crate::body::Body;
+use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError, CaptureOptions};
 use crate::data_dir::body_path_in;
 use crate::fit::covered::Covered;
 use crate::fit::detail::{Detail, DetailPlan};
+use crate::fit::gains::FrameGains;
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, FocalCheck, Stage0Error, Stage0Options, Stage0Result};
 use crate::fit::{FitConfig, FitState, Inputs, pelvis};
@@ -54,6 +56,7 @@ pub fn run(
     covered.even_out(&mut body, &start.betas);
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
     let fresh = FitState::new(&body, start.betas.clone(), poses, transl, config.field, config.seed);
+    let gains = settle_gains(gpu, &body, &mut capture, &start.camera, &config, &fresh)?;
     let plan = if config.detail { DetailPlan::to(&capture) } else { None };
     monitor.expect_texture_steps(plan.as_ref().map_or(0, |plan| plan.steps(&config)));
     let (camera, mut fits) = (&start.camera, Fits::new(gpu, work_dir, &mut monitor));
@@ -65,7 +68,7 @@ pub fn run(
         state = fits.tailored(&Inputs { body: &body, capture: &capture, camera, config: &alone }, state)?;
     }
     let large = match &plan {
-        Some(plan) => larger_pictures(input, plan, &mut capture, &measures, fits.monitor)?,
+        Some(plan) => larger_pictures(input, plan, &mut capture, &measures, gains.as_ref(), fits.monitor)?,
         None => None,
     };
     let detail =
@@ -79,8 +82,20 @@ pub fn run(
     if capture.poses.is_none() {
         pelvis_moved = pelvis::settle(&mut body, &state.betas, &state.poses, &mut state.transl);
     }
-    let done =
-        export::Fitted { body, pelvis_moved, capture, measures, focal, start, state, covered, skirt, detail, config };
+    let done = export::Fitted {
+        body,
+        pelvis_moved,
+        capture,
+        measures,
+        focal,
+        gains,
+        start,
+        state,
+        covered,
+        skirt,
+        detail,
+        config,
+    };
     export::export(gpu, &done, input, out_dir, &mut monitor)
 }
 
@@ -90,6 +105,7 @@ fn larger_pictures(
     plan: &DetailPlan,
     capture: &mut Capture,
     measures: &[quality::FrameMeasures],
+    gains: Option<&FrameGains>,
     monitor: &mut Monitor<'_>,
 ) -> Result<Option<Capture>, PipelineError> {
     if let Some(own) = plan.own(capture) {
@@ -109,6 +125,9 @@ fn larger_pictures(
     let offsets = plan.of(&quality::edge_offsets(measures)).into_iter();
     let offsets: Vec<_> = offsets.map(|px| px.map(|px| px * plan.gain)).collect();
     quality::settle_masks(&mut large, &offsets);
+    if let Some(gains) = gains {
+        gains.even_out(&mut large);
+    }
     Ok(Some(large))
 }
 
@@ -180,6 +199,26 @@ fn solve_poses(
         Stage0Error::Stopped => PipelineError::Stopped(monitor.stopped.unwrap_or(StopReason::Shutdown)),
         other => PipelineError::Unfit(other.to_string()),
     })
+}
+
+/// Takes out of the pictures what the camera has changed from one to the next.
+fn settle_gains(
+    gpu: &Arc<Gpu>,
+    body: &Body,
+    capture: &mut Capture,
+    camera: &Camera,
+    config: &FitConfig,
+    start: &FitState,
+) -> Result<Option<FrameGains>, PipelineError> {
+    if !config.gains {
+        return Ok(None);
+    }
+    let found = FrameGains::find(gpu, &Inputs { body, capture, camera, config }, start);
+    let gains = found.map_err(|error| from_fit(error, None))?;
+    if let Some(gains) = &gains {
+        gains.even_out(capture);
+    }
+    Ok(gains)
 }
 
 /// Asks the clip for its focal length. Where that contradicts the given one, it is found as if none had been given: a wrong one
