@@ -5,6 +5,7 @@
 
 mod atlas;
 mod export;
+mod framing;
 mod gltf;
 mod model;
 mod motion;
@@ -22,6 +23,7 @@ mod vrm;
 pub use crate::ops::skinning::cpu::Posed;
 pub use atlas::{BakeError, UvLayout, bake};
 pub use export::ExportError;
+pub use framing::holding;
 pub use gltf::{Texture, write_glb};
 pub use model::{AvatarModel, ModelError};
 pub use motion::write_motion;

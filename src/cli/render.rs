@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use effigy::avatar::{AvatarModel, Place, Pose, RenderSpec, Renderer};
+use effigy::avatar::{AvatarModel, Place, Pose, RenderSpec, Renderer, holding};
 use effigy::body::N_POSE;
 use effigy::camera::Camera;
 use effigy::capture::read_camera;
@@ -34,7 +34,7 @@ pub struct Args {
     /// Pictures of one whole turn of the first captured pose, and `turntable.mp4`.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=3600))]
     turntable: Option<u32>,
-    /// Camera as JSON; by default the capture's.
+    /// Camera as JSON; by default the capture's, for a turntable with as much wider a view as the whole person needs.
     #[arg(long)]
     camera: Option<PathBuf>,
     /// Resize the camera so that its longer side has this many pixels.
@@ -60,8 +60,8 @@ fn light(text: &str) -> Result<Light, serde::de::value::Error> {
 
 pub fn run(args: Args) -> Result<()> {
     let model = AvatarModel::load(&args.model).with_context(|| args.model.display().to_string())?;
-    let camera = camera(&args, &model)?;
     let shots = shots(&args, &model)?;
+    let camera = camera(&args, &model, &shots)?;
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let renderer = Renderer::new(&Gpu::open(&DeviceSelect::Auto)?, &Arc::new(model))?;
     let bar = super::progress(shots.len() as u64, "pictures");
@@ -90,8 +90,12 @@ pub fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-fn camera(args: &Args, model: &AvatarModel) -> Result<Camera> {
+fn camera(args: &Args, model: &AvatarModel, shots: &[Shot]) -> Result<Camera> {
     let camera = match &args.camera {
+        None if args.turntable.is_some() => {
+            let persons = shots.iter().map(|(_, pose, place)| (pose, *place));
+            holding(&model.camera, model, persons)
+        }
         None => model.camera.clone(),
         Some(path) => read_camera(path).with_context(|| path.display().to_string())?,
     };

@@ -1,5 +1,6 @@
 //! One case from clip to figures.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
@@ -85,6 +86,10 @@ const PIECE_PX: u32 = 150;
 /// # Errors
 /// Where the clip cannot be read or written; a fit that fails is an outcome.
 pub fn run(gpu: &Arc<Gpu>, case: &Case, settings: &Settings) -> Result<Outcome> {
+    std::fs::create_dir_all(&settings.work).with_context(|| settings.work.display().to_string())?;
+    // Of two runs that share the folder the later one waits, and reads what the case came to. Held until the case has ended.
+    let turn = File::create(settings.work.join(format!("{}.lock", case.name)))?;
+    turn.lock()?;
     let folder = settings.work.join(case.name);
     let result = folder.join("result.json");
     let made_of = made_of(settings)?;

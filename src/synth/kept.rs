@@ -49,8 +49,11 @@ impl KeptClips<'_> {
         let making = tempfile::tempdir_in(self.folder)?;
         let part = making.path().join(name);
         synthesise(self.gpu, &self.load_body()?, options, &part, |_, _| {})?;
-        std::fs::rename(&part, &clip)?;
-        Ok(clip)
+        match std::fs::rename(&part, &clip) {
+            // Another run has made the same meanwhile.
+            Err(_) if clip.is_dir() => Ok(clip),
+            renamed => Ok(renamed.map(|()| clip)?),
+        }
     }
 }
 
@@ -65,7 +68,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let clips = KeptClips { gpu: &gpu, body: "test", folder: folder.path() };
         let options = SynthOptions { frames: 2, size_px: 64, truths: 1, ..SynthOptions::default() };
-        let clip = clips.clip(&options).unwrap();
+        // Two that want it at once get the same.
+        let [clip, same] = std::thread::scope(|scope| {
+            [scope.spawn(|| clips.clip(&options)), scope.spawn(|| clips.clip(&options))]
+                .map(|made| made.join().unwrap().unwrap())
+        });
+        assert_eq!(clip, same);
         assert!(clip.join("video.mp4").is_file() && clip.join("keypoints.json").is_file());
         let mark = clip.join("mark");
         std::fs::write(&mark, "").unwrap();

@@ -44,11 +44,19 @@ fn spoiled_clips_are_compared_with_the_clean_one_and_not_twice() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let output = robustness(folder.path(), &["--cases", "masks-blob"]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // Two that share the folder take turns, and each case is fitted once.
+    std::thread::scope(|scope| {
+        let run = || robustness(folder.path(), &["--cases", "gains,masks-blob"]);
+        for output in [scope.spawn(run), scope.spawn(run)].map(|run| run.join().unwrap()) {
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        }
+    });
     let page = std::fs::read_to_string(folder.path().join("docs/robustness.md")).unwrap();
     assert!(page.contains("| the clip as it is |") && page.contains("| masks: a second part"), "{page}");
-    assert!(page.contains("`second_blob`") && page.contains("Of 1 others"), "{page}");
+    assert!(page.contains("`second_blob`") && page.contains("Of 2 others"), "{page}");
+    let row = |of: &str| page.lines().find(|line| line.contains(of)).unwrap_or_default();
+    assert!(row("light changes").contains("`exposure_changes`"), "{page}");
+    assert!(!row("a second part").contains("exposure"), "{page}");
     let sheet = image::open(folder.path().join("docs/robustness/cases.jpg")).unwrap();
     assert!(
         sheet.width() > 200 && sheet.height() >= 64,

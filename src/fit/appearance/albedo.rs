@@ -55,6 +55,35 @@ pub fn albedos(
     (albedo.into_flattened(), counts)
 }
 
+/// `[F]`: least squares over the observations, each by what it counts, and over the channels of which `counts(colour, bright)` holds, `bright` by
+/// the albedos `before`, which stand where none does. `shade(i)`: of observation i, a channel.
+pub(super) fn mean_albedos(
+    observations: &[Observation],
+    n_faces: usize,
+    weight: impl Fn(&Observation) -> f32,
+    shade: impl Fn(usize) -> [f32; 3],
+    counts: impl Fn(f32, f32) -> bool,
+    before: &[[f32; 3]],
+) -> Vec<[f32; 3]> {
+    let mut sums = vec![([0.0f32; 3], [0.0f32; 3]); n_faces];
+    let known = |face: usize| before.get(face).copied().unwrap_or_default();
+    for (i, o) in observations.iter().enumerate() {
+        let (shade, weight) = (shade(i), weight(o));
+        let (top, bottom) = &mut sums[o.face as usize];
+        for (k, albedo) in known(o.face as usize).into_iter().enumerate() {
+            if counts(o.colour[k], albedo * shade[k]) {
+                top[k] += weight * o.colour[k] * shade[k];
+                bottom[k] += weight * shade[k] * shade[k];
+            }
+        }
+    }
+    let mean = |(face, (top, bottom)): (usize, ([f32; 3], [f32; 3]))| {
+        let before = known(face);
+        std::array::from_fn(|k| if bottom[k] > 0.0 { top[k] / bottom[k] } else { before[k] })
+    };
+    sums.into_iter().enumerate().map(mean).collect()
+}
+
 /// Albedos and the weights of the light for one direction of the lamp.
 pub(super) struct Problem<'a> {
     observations: &'a [Observation],
@@ -107,26 +136,9 @@ impl<'a> Problem<'a> {
         self.mean_albedo(weights, tells, before)
     }
 
-    /// Least squares over the channels of which `counts(colour, bright)` holds, `bright` by the albedos `before`, which stand
-    /// where none does.
     fn mean_albedo(&self, weights: Weights, counts: impl Fn(f32, f32) -> bool, before: &[[f32; 3]]) -> Vec<[f32; 3]> {
-        let mut sums = vec![([0.0f32; 3], [0.0f32; 3]); self.n_faces];
-        let known = |face: usize| before.get(face).copied().unwrap_or_default();
-        for (i, o) in self.observations.iter().enumerate() {
-            let shade = self.shade(i, weights);
-            let (top, bottom) = &mut sums[o.face as usize];
-            for (k, albedo) in known(o.face as usize).into_iter().enumerate() {
-                if counts(o.colour[k], albedo * shade) {
-                    top[k] += o.weight * o.colour[k] * shade;
-                    bottom[k] += o.weight * shade * shade;
-                }
-            }
-        }
-        let mean = |(face, (top, bottom)): (usize, ([f32; 3], [f32; 3]))| {
-            let before = known(face);
-            std::array::from_fn(|k| if bottom[k] > 0.0 { top[k] / bottom[k] } else { before[k] })
-        };
-        sums.into_iter().enumerate().map(mean).collect()
+        let shade = |i: usize| [self.shade(i, weights); 3];
+        mean_albedos(self.observations, self.n_faces, |o| o.weight, shade, counts, before)
     }
 
     /// Reweighted least squares for the weights, none below zero.

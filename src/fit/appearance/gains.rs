@@ -2,7 +2,7 @@
 //! are the person's, so what is common to all faces of a frame is the camera's.
 
 use super::Lit;
-use super::albedo::{MIN_SHADE, Observation, ROBUST, WHITE, tells};
+use super::albedo::{MIN_SHADE, Observation, ROBUST, WHITE, mean_albedos, tells};
 use super::lamp::{of_face, solve_light};
 use super::mean_colours::{observe, sky, solve};
 use super::shadows::PosedClip;
@@ -16,6 +16,8 @@ use crate::ops::light::{Exposure, Light};
 const MIN_GAIN: f64 = 1.05;
 /// How often light and gains are found anew: a drift over the whole turn first looks like a lamp.
 const LIGHTS: usize = 3;
+/// No camera changes more; a frame that somebody's thumb covers shall not make all others bright.
+const MOST: f32 = 3.0;
 /// Rounds of alternation between albedos and gains.
 const ROUNDS: usize = 20;
 
@@ -83,10 +85,14 @@ fn evened(o: &Observation, gain: [f32; 3]) -> Observation {
 /// Albedos and gains in turns, by pixels well inside the masks, where the observations were shaded by `shades`.
 pub(super) fn gains_of(observations: &[Observation], shades: &[f32], n_faces: usize, n_frames: usize) -> Solved {
     let mut gains = vec![[1.0f32; 3]; n_frames];
-    let mut albedos = mean_albedos(observations, shades, &gains, n_faces, |colour, _| colour < WHITE, &[]);
+    let albedos_of = |gains: &[[f32; 3]], counts: fn(f32, f32) -> bool, before: &[[f32; 3]]| {
+        let shade = |i: usize| gains[observations[i].frame as usize].map(|gain| gain * shades[i]);
+        mean_albedos(observations, n_faces, |o| o.inside, shade, counts, before)
+    };
+    let mut albedos = albedos_of(&gains, |colour, _| colour < WHITE, &[]);
     let mut errors = [0.0; 2];
     for round in 0..=ROUNDS {
-        albedos = mean_albedos(observations, shades, &gains, n_faces, tells, &albedos);
+        albedos = albedos_of(&gains, tells, &albedos);
         let (next, error) = next_gains(observations, shades, &albedos, &gains);
         errors[usize::from(round > 0)] = error;
         if round < ROUNDS {
@@ -94,35 +100,6 @@ pub(super) fn gains_of(observations: &[Observation], shades: &[f32], n_faces: us
         }
     }
     Solved { gains, errors }
-}
-
-/// `[F]`: least squares over the channels of which `counts(colour, bright)` holds, `bright` by the albedos `before`, which stand where
-/// none does.
-fn mean_albedos(
-    observations: &[Observation],
-    shades: &[f32],
-    gains: &[[f32; 3]],
-    n_faces: usize,
-    counts: impl Fn(f32, f32) -> bool,
-    before: &[[f32; 3]],
-) -> Vec<[f32; 3]> {
-    let known = |face: usize| before.get(face).copied().unwrap_or_default();
-    let mut sums = vec![[[0.0f32; 2]; 3]; n_faces];
-    for (o, shade) in observations.iter().zip(shades) {
-        let face = o.face as usize;
-        for (k, [top, bottom]) in sums[face].iter_mut().enumerate() {
-            let shade = shade * gains[o.frame as usize][k];
-            if counts(o.colour[k], known(face)[k] * shade) {
-                *top += o.inside * o.colour[k] * shade;
-                *bottom += o.inside * shade * shade;
-            }
-        }
-    }
-    let mean = |(face, sums): (usize, [[f32; 2]; 3])| {
-        let before = known(face);
-        std::array::from_fn(|k| if sums[k][1] > 0.0 { sums[k][0] / sums[k][1] } else { before[k] })
-    };
-    sums.into_iter().enumerate().map(mean).collect()
 }
 
 /// Reweighted least squares for the gains, from `gains` on, and the mean absolute error with those. A frame that shows nothing keeps its own.
@@ -150,7 +127,7 @@ fn next_gains(
         }
     }
     let next = |(sums, gains): (&[[f64; 2]; 3], &[f32; 3])| {
-        let of = |k: usize| (sums[k][0] / sums[k][1]) as f32;
+        let of = |k: usize| ((sums[k][0] / sums[k][1]) as f32).clamp(1.0 / MOST, MOST);
         std::array::from_fn(|k| if sums[k].iter().all(|&sum| sum > 0.0) { of(k) } else { gains[k] })
     };
     let mut next: Vec<[f32; 3]> = sums.iter().zip(gains).map(next).collect();
@@ -207,6 +184,12 @@ mod tests {
         let seen: Vec<Observation> = turning(&light, 360.0).into_iter().filter(|o| o.frame != 7).collect();
         let solved = gains_of(&seen, &vec![1.0; seen.len()], 400, FRAMES);
         assert!(solved.gains.as_flattened().iter().all(|gain| gain.is_finite() && *gain > 0.5), "{:?}", solved.gains);
+        // Nor does one that is all but black tell what the camera did in the others.
+        let covered = found(|k| [if k == 7 { 0.02 } else { 1.0 }; 3]);
+        for (k, gain) in covered.gains.iter().enumerate().filter(|(k, _)| *k != 7) {
+            assert!((gain[0] - 1.0).abs() < 0.04, "frame {k}: {gain:?}");
+        }
+        assert!(covered.gains[7][0] > 0.3, "{:?}", covered.gains[7]);
         let none = gains_of(&[], &[], 400, 3);
         assert_eq!(none.gains, [[1.0; 3]; 3]);
     }
