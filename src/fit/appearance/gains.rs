@@ -11,8 +11,8 @@ use crate::fit::scene::Scene;
 use crate::gpu::GpuError;
 use crate::ops::light::{Exposure, Light};
 
-/// The error without gains has to be larger than with them by this factor, else the camera changed nothing. Clips of a camera that stood
-/// still in all ways have up to 1.02 (docs/lab/light.md, "A camera that follows the scene").
+/// The error without gains has to be larger than with them by this factor, else the camera changed nothing. Clips of a camera that
+/// changed nothing have up to 1.01 under a lamp with its shadows and 1.04 without (docs/lab/light.md, "A camera that follows the scene").
 const MIN_GAIN: f64 = 1.05;
 /// How often light and gains are found anew: a drift over the whole turn first looks like a lamp.
 const LIGHTS: usize = 3;
@@ -22,11 +22,11 @@ const MOST: f32 = 3.0;
 const ROUNDS: usize = 20;
 
 /// Exposure and white balance of each frame.
-pub(super) struct Solved {
+struct Solved {
     /// `[N]`; the geometric mean over the frames is one
-    pub gains: Vec<[f32; 3]>,
+    gains: Vec<[f32; 3]>,
     /// Mean absolute error a pixel and channel without gains, and with them.
-    pub errors: [f64; 2],
+    errors: [f64; 2],
 }
 
 /// By what factor each frame's channels are brighter than in the mean, for the scene's shape and poses; `None` where they are not told
@@ -53,7 +53,7 @@ pub fn solve_gains(
         solved
     };
     // Shadows take long, and where nothing changes that mostly shows without them.
-    if !found(&solve_light(&observations, faces.len(), &sky(scene, level)), &[]).tells() {
+    if !found(&solve_light(&observations, faces.len(), &sky(scene, level)), &[]).differ() {
         return Ok(None);
     }
     let mut gains = vec![[1.0; 3]; n_frames];
@@ -61,7 +61,7 @@ pub fn solve_gains(
         let evened: Vec<Observation> = observations.iter().map(|o| evened(o, gains[o.frame as usize])).collect();
         let (light, exposures) = solve(scene, faces, &evened, level, &clip);
         let solved = found(&light, &exposures);
-        if round == 0 && !solved.tells() {
+        if round == 0 && !solved.differ() {
             return Ok(None);
         }
         gains = solved.gains;
@@ -70,7 +70,8 @@ pub fn solve_gains(
 }
 
 impl Solved {
-    fn tells(&self) -> bool {
+    /// Whether the frames are told to differ.
+    fn differ(&self) -> bool {
         let [without, with] = self.errors;
         without > MIN_GAIN * with
     }
@@ -83,7 +84,7 @@ fn evened(o: &Observation, gain: [f32; 3]) -> Observation {
 }
 
 /// Albedos and gains in turns, by pixels well inside the masks, where the observations were shaded by `shades`.
-pub(super) fn gains_of(observations: &[Observation], shades: &[f32], n_faces: usize, n_frames: usize) -> Solved {
+fn gains_of(observations: &[Observation], shades: &[f32], n_faces: usize, n_frames: usize) -> Solved {
     let mut gains = vec![[1.0f32; 3]; n_frames];
     let albedos_of = |gains: &[[f32; 3]], counts: fn(f32, f32) -> bool, before: &[[f32; 3]]| {
         let shade = |i: usize| gains[observations[i].frame as usize].map(|gain| gain * shades[i]);

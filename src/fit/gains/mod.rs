@@ -162,23 +162,11 @@ mod tests {
         };
         assert_eq!(find(&still), None);
         let gain = |k: usize| [1.05, 1.0, 0.95].map(|of: f32| of.powi(k as i32 % 3) * (1.0 + 0.2 * (k as f32).sin()));
-        let brighter = |capture: &Capture| {
-            let mut brighter = capture.frames.clone();
-            for (k, frame) in brighter.iter_mut().enumerate() {
-                let by = |(i, value): (usize, &mut u8)| *value = (gain(k)[i % 3] * f32::from(*value)).round() as u8;
-                frame.rgb.iter_mut().enumerate().for_each(by);
-            }
-            Capture {
-                camera: capture.camera.clone(),
-                frames: brighter,
-                keypoint_format: String::new(),
-                given_keypoint_format: String::new(),
-                poses: None,
-                warnings: Vec::new(),
-                ..*capture
-            }
-        };
-        let mut drifting = brighter(&still);
+        let mut drifting = still.clone();
+        for (k, frame) in drifting.frames.iter_mut().enumerate() {
+            let by = |(i, value): (usize, &mut u8)| *value = (gain(k)[i % 3] * f32::from(*value)).round() as u8;
+            frame.rgb.iter_mut().enumerate().for_each(by);
+        }
         let found = find(&drifting).unwrap();
         let mean = |c: usize| ((0..16).map(|k| gain(k)[c].ln()).sum::<f32>() / 16.0).exp();
         for (k, gains) in found.gains().iter().enumerate() {
