@@ -13,7 +13,7 @@ pub use ceilings::{Ceilings, Peaks};
 pub use frame::Frame;
 pub use picture::{PictureBench, PictureTimes};
 pub use scale::{Counts, Scale};
-pub use step::{Row, StepBench, StepTimes};
+pub use step::{Row, Step, StepBench, StepTimes};
 pub use timing::{Times, cores, interleaved, timed};
 
 use crate::gpu::Recorder;

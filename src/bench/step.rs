@@ -8,6 +8,7 @@ use super::person::Person;
 use super::timing::{Times, profiled, timed};
 use crate::body::Body;
 use crate::capture::{Capture, Frame};
+use crate::fit::detail::refined;
 use crate::fit::{FitConfig, FitError, FitState, Inputs, Phase, Stage, with_step};
 use crate::gpu::{Gpu, KernelTime};
 use crate::math::median;
@@ -21,10 +22,34 @@ const ASIDE_M: f32 = 0.01;
 const WARM_UP: Duration = Duration::from_millis(500);
 const STEPS_IN_A_ROW: u32 = 16;
 
-/// A step of a stage.
+/// What a step is taken of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Step {
+    /// Stage 1's last phase: full resolution.
+    Geometry,
+    /// Stage 2's.
+    Texture,
+    /// The detail's last round.
+    Detail,
+}
+
+impl Step {
+    pub const ALL: [Self; 3] = [Self::Geometry, Self::Texture, Self::Detail];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Geometry => "step/geometry",
+            Self::Texture => "step/texture",
+            Self::Detail => "step/detail",
+        }
+    }
+}
+
+/// What a step takes.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct StepTimes {
-    pub stage: u32,
+    pub step: Step,
     pub frames: usize,
     pub times: Times,
     pub row: Row,
@@ -98,14 +123,20 @@ impl StepBench {
         Ok(Self { gpu: gpu.clone(), body: body.clone(), config, capture, state })
     }
 
-    /// Calls `with` with one step on all frames in the last phase of a stage of `standard`: full resolution.
+    /// Calls `with` with one step of `standard` on all frames.
     pub fn with<R>(
         &self,
-        stage: Stage,
+        step: Step,
         with: impl FnOnce(&mut dyn FnMut() -> Result<(), FitError>) -> Result<R, FitError>,
     ) -> Result<R, FitError> {
-        let state = FitState { stage, ..self.state.clone() };
-        let Self { body, capture, config, .. } = self;
+        let Self { body, capture, config, state, .. } = self;
+        let stage = if step == Step::Geometry { Stage::Geometry } else { Stage::Texture };
+        let mut state = FitState { stage, ..state.clone() };
+        let config = match step {
+            Step::Detail => &refined(config, body, &state, &capture.camera),
+            _ => config,
+        };
+        state.field = state.field.refined(&self.config.field, &config.field, config.seed);
         let phases = if stage == Stage::Geometry { &config.geometry.phases } else { &config.texture.phases };
         let phase: &Phase = phases.last().expect("a stage has phases");
         let frames: Vec<usize> = (0..capture.frames.len()).collect();
@@ -115,9 +146,9 @@ impl StepBench {
 
     /// Times of one step on all frames: `repeats` steps after some that compile and warm up, half as many rows, then a few that
     /// are profiled.
-    pub fn run(&self, stage: Stage, repeats: u32) -> Result<StepTimes, FitError> {
+    pub fn run(&self, step: Step, repeats: u32) -> Result<StepTimes, FitError> {
         let gpu = &self.gpu;
-        let (times, row, kernels) = self.with(stage, |step| {
+        let (times, row, kernels) = self.with(step, |step| {
             // The first compiles; a device that has idled takes a while to run at its full speed.
             let begun = Instant::now();
             loop {
@@ -133,7 +164,7 @@ impl StepBench {
             Ok((Times::of(&pairs), row, profiled(gpu, repeats.div_ceil(4), step)?))
         })?;
         Ok(StepTimes {
-            stage: if stage == Stage::Geometry { 1 } else { 2 },
+            step,
             frames: self.capture.frames.len(),
             times,
             row,

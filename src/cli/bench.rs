@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use anyhow::{Context, Result};
 use effigy::bench::{
-    Ceilings, Counts, Frame, Peaks, PictureBench, PictureTimes, Scale, StepBench, StepTimes, Times, cores, interleaved,
+    Ceilings, Counts, Frame, Peaks, PictureBench, PictureTimes, Scale, Step, StepBench, StepTimes, Times, cores,
+    interleaved,
 };
 use effigy::body::Body;
 use effigy::data_dir::body_path;
-use effigy::fit::Stage;
 use effigy::gpu::{DeviceInfo, DeviceSelect, Gpu, KernelTime};
 
 #[derive(clap::Args)]
@@ -106,9 +106,9 @@ pub fn run(args: Args) -> Result<()> {
         drop(cases);
         drop(frame);
         let steps = StepBench::new(&gpu, &body, size_px, args.frames as usize)?;
-        for (name, stage) in [("step/geometry", Stage::Geometry), ("step/texture", Stage::Texture)] {
-            if args.filter.as_ref().is_none_or(|text| name.contains(text.as_str())) {
-                let step = steps.run(stage, args.repeats)?;
+        for step in Step::ALL {
+            if args.filter.as_ref().is_none_or(|text| step.name().contains(text.as_str())) {
+                let step = steps.run(step, args.repeats)?;
                 if !args.json {
                     print_step(&gpu, &step, args.kernels);
                 }
@@ -172,9 +172,10 @@ fn print_scene(scene: &Scene) {
 
 /// Where a step's time goes. The parts were run one by one: their sum is more than the step by what a launch costs.
 fn print_step(gpu: &Gpu, step: &StepTimes, by_kernel: bool) {
-    let StepTimes { stage, frames, times, row, kernels, peak_device_bytes } = step;
+    let StepTimes { step, frames, times, row, kernels, peak_device_bytes } = step;
     println!(
-        "\nstage {stage}, a step of {frames} × {}: alone {:.2} ms, best {:.2}, median {:.2}; in a row {:.2}, the host's part {:.2}; {:.0} MB of device memory",
+        "\n{} of {frames} × {}: alone {:.2} ms, best {:.2}, median {:.2}; in a row {:.2}, the host's part {:.2}; {:.0} MB of device memory",
+        step.name(),
         if *frames == 1 { "frame" } else { "frames" },
         times.alone_ms(gpu),
         times.best_ms,

@@ -123,7 +123,7 @@ pub struct FitConfig {
     pub silhouette_gradient: SilhouetteGradient,
     /// Whether each phase of stage 1 starts from the face colours that are best for its geometry, solved in closed form.
     pub solve_face_colours: bool,
-    /// The part of the clip over which steps of pose and placement are spread; 0: each frame steps for itself.
+    /// The part of a turn over which steps of pose and placement are spread; 0: each frame steps for itself.
     pub pose_smoothing: f32,
     /// Whether the keypoints of the hips count besides those of limbs and nose, as stage 0 has understood them.
     pub hip_keypoints: bool,

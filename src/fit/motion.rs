@@ -17,7 +17,7 @@ use crate::ops::temporal::{Temporal, TemporalConfig, spacing};
 pub const POSE_JUMP: f32 = 0.5;
 pub const PLACE_JUMP: f32 = 0.1;
 
-/// Usual accelerations in a clip of 30 frames or more: radians and metres a frame².
+/// Usual accelerations in a clip of 30 frames or more a turn: radians and metres a frame².
 const POSE_ACCELERATION: f64 = 0.03;
 const PLACE_ACCELERATION: f64 = 0.005;
 
@@ -27,10 +27,19 @@ const STEP: f64 = 3.0;
 /// A person does not turn faster from one frame to the next, radians: more is a gap in the clip.
 const TURN_JUMP: f64 = 1.0;
 
-/// Usual accelerations in a clip of `n` frames over those: fewer frames lie further apart, and the same motion accelerates by
-/// the square of that more.
-fn acceleration(n: usize) -> f64 {
-    (30.0 / n.clamp(1, 30) as f64).powi(2)
+/// Usual accelerations in a clip of `n` frames a turn over those: fewer frames lie further apart, and the same motion accelerates
+/// by the square of that more.
+fn acceleration(n: f64) -> f64 {
+    (30.0 / n.clamp(1.0, 30.0)).powi(2)
+}
+
+/// How often the person turns round, once at least, in `poses [N, 72]`: who turns three times in a clip moves three times as far
+/// from frame to frame.
+pub fn turns(poses: &[f32]) -> f64 {
+    let root = |pose: &[f32]| glam::Quat::from_scaled_axis(glam::Vec3::new(pose[0], pose[1], pose[2]));
+    let roots: Vec<glam::Quat> = poses.chunks_exact(N_POSE).map(root).collect();
+    let angles = roots.windows(2).map(|pair| f64::from(pair[0].angle_between(pair[1])));
+    (angles.filter(|angle| *angle <= TURN_JUMP).sum::<f64>() / std::f64::consts::TAU).max(1.0)
 }
 
 /// How far each number of a pose usually ends from where a stage began, radians.
@@ -90,7 +99,7 @@ impl Motion {
     /// quickly there is expected to. `times [N]`: when the frames were taken, in any unit.
     pub fn new(gpu: &Gpu, start: &[f32], places: &[f32], times: &[f64]) -> Self {
         let spacing = &spacing(times);
-        let usual = acceleration(start.len() / N_POSE);
+        let usual = acceleration((start.len() / N_POSE) as f64 / turns(start));
         let stride = N_POSE;
         let (scale, max_change) = (POSE_ACCELERATION * usual, POSE_JUMP.into());
         let root = AngularAccelerationConfig { stride, scale, max_turn: TURN_JUMP };
@@ -129,6 +138,28 @@ mod tests {
     use crate::body::joints::{LEFT_SHOULDER, RIGHT_SHOULDER};
 
     #[test]
+    fn turns_are_counted_to_and_fro_and_at_least_one() {
+        // A person who stands before a camera whose y points down, and faces `degrees`.
+        let facing = |degrees: f32| {
+            let upright = glam::Quat::from_rotation_x(std::f32::consts::PI);
+            let root = (upright * glam::Quat::from_rotation_y(degrees.to_radians())).to_scaled_axis();
+            let mut pose = [0.1; N_POSE];
+            pose[..3].copy_from_slice(&root.to_array());
+            pose
+        };
+        let counted = |degrees: &[f32]| turns(degrees.iter().map(|&d| facing(d)).collect::<Vec<_>>().as_flattened());
+        let steady = |n: i32, turn: f32| (0..=n).map(|i| turn * i as f32 / n as f32).collect::<Vec<f32>>();
+        let to_and_fro = [steady(20, 540.0), steady(20, 540.0).into_iter().rev().collect()].concat();
+        // Where the clip was cut, one steps from any facing to any other.
+        let cut = [steady(20, 360.0), steady(20, 360.0).iter().map(|d| d + 120.0).collect()].concat();
+        for (degrees, want) in
+            [(steady(40, 1080.0), 3.0), (to_and_fro, 3.0), (cut, 2.0), (steady(40, 180.0), 1.0), (vec![], 1.0)]
+        {
+            assert!((counted(&degrees) - want).abs() < 0.01, "{} turns, not {want}", counted(&degrees));
+        }
+    }
+
+    #[test]
     fn hinges_are_held_where_they_do_not_bend() {
         let scales = anchor_scales(&[0.0; 2 * N_POSE]);
         let held = |joint: usize| scales[joint].map(|scale| scale < 0.05);
@@ -165,11 +196,11 @@ mod tests {
     #[test]
     fn the_same_motion_costs_the_same_in_few_frames_and_in_fewer() {
         // Of a parabola over the clip, the second difference.
-        let second = |n: usize| 2.0 / (n as f64).powi(2);
-        for n in [3, 8, 15, 30] {
+        let second = |n: f64| 2.0 / n.powi(2);
+        for n in [3.0, 8.0, 13.3, 30.0] {
             let cost = second(n) / acceleration(n);
-            assert!((cost / second(30) - 1.0).abs() < 1e-9, "{n} frames: {cost}");
+            assert!((cost / second(30.0) - 1.0).abs() < 1e-9, "{n} frames: {cost}");
         }
-        assert_eq!(acceleration(120), 1.0);
+        assert_eq!(acceleration(120.0), 1.0);
     }
 }

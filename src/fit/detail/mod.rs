@@ -80,8 +80,7 @@ impl Detail {
             frames.push(k);
             pictures.push(picture);
         }
-        let mut config = config.clone().detailed(ROUNDS[ROUNDS.len() - 1]);
-        config.field = config.field.refined(cell(body, fitted, &camera), LOG2_HASHMAP_SIZE);
+        let config = refined(config, body, fitted, &camera);
         Self {
             capture: Capture { frames: pictures, camera: camera.clone(), poses: None, ..large },
             camera,
@@ -127,6 +126,12 @@ impl Detail {
         let FitState { poses, stage_poses, transl, stage_transl, .. } = fitted;
         FitState { poses, stage_poses, transl, stage_transl, ..detailed }
     }
+}
+
+/// As the last round goes on with pictures that `camera` took, from where a fit with `config` has ended.
+pub fn refined(config: &FitConfig, body: &Body, fitted: &FitState, camera: &Camera) -> FitConfig {
+    let config = config.clone().detailed(ROUNDS[ROUNDS.len() - 1]);
+    FitConfig { field: config.field.refined(cell(body, fitted, camera), LOG2_HASHMAP_SIZE), ..config }
 }
 
 /// A pixel at the person, in the units of the texture's coordinates.
