@@ -33,9 +33,19 @@ fn acceleration(n: f64) -> f64 {
     (30.0 / n.clamp(1.0, 30.0)).powi(2)
 }
 
+/// [`acceleration`] in a clip that starts with `poses [N, 72]`.
+fn usual(poses: &[f32]) -> f64 {
+    acceleration((poses.len() / N_POSE) as f64 / turns(poses))
+}
+
+/// The frames of `poses [N, 72]` in this part of a turn.
+pub fn frames_in(part: f32, poses: &[f32]) -> f32 {
+    part * (poses.len() / N_POSE) as f32 / turns(poses) as f32
+}
+
 /// How often the person turns round, once at least, in `poses [N, 72]`: who turns three times in a clip moves three times as far
 /// from frame to frame.
-pub fn turns(poses: &[f32]) -> f64 {
+fn turns(poses: &[f32]) -> f64 {
     let root = |pose: &[f32]| glam::Quat::from_scaled_axis(glam::Vec3::new(pose[0], pose[1], pose[2]));
     let roots: Vec<glam::Quat> = poses.chunks_exact(N_POSE).map(root).collect();
     let angles = roots.windows(2).map(|pair| f64::from(pair[0].angle_between(pair[1])));
@@ -99,7 +109,7 @@ impl Motion {
     /// quickly there is expected to. `times [N]`: when the frames were taken, in any unit.
     pub fn new(gpu: &Gpu, start: &[f32], places: &[f32], times: &[f64]) -> Self {
         let spacing = &spacing(times);
-        let usual = acceleration((start.len() / N_POSE) as f64 / turns(start));
+        let usual = usual(start);
         let stride = N_POSE;
         let (scale, max_change) = (POSE_ACCELERATION * usual, POSE_JUMP.into());
         let root = AngularAccelerationConfig { stride, scale, max_turn: TURN_JUMP };
@@ -137,18 +147,26 @@ mod tests {
     use super::*;
     use crate::body::joints::{LEFT_SHOULDER, RIGHT_SHOULDER};
 
-    #[test]
-    fn turns_are_counted_to_and_fro_and_at_least_one() {
-        // A person who stands before a camera whose y points down, and faces `degrees`.
-        let facing = |degrees: f32| {
+    /// Poses of somebody who stands before a camera whose y points down, and faces `degrees [N]`.
+    fn facing(degrees: &[f32]) -> Vec<f32> {
+        let pose = |degrees: &f32| {
             let upright = glam::Quat::from_rotation_x(std::f32::consts::PI);
             let root = (upright * glam::Quat::from_rotation_y(degrees.to_radians())).to_scaled_axis();
             let mut pose = [0.1; N_POSE];
             pose[..3].copy_from_slice(&root.to_array());
             pose
         };
-        let counted = |degrees: &[f32]| turns(degrees.iter().map(|&d| facing(d)).collect::<Vec<_>>().as_flattened());
-        let steady = |n: i32, turn: f32| (0..=n).map(|i| turn * i as f32 / n as f32).collect::<Vec<f32>>();
+        degrees.iter().flat_map(pose).collect()
+    }
+
+    /// `n + 1` facings from 0 to `turn` degrees.
+    fn steady(n: i32, turn: f32) -> Vec<f32> {
+        (0..=n).map(|i| turn * i as f32 / n as f32).collect()
+    }
+
+    #[test]
+    fn turns_are_counted_to_and_fro_and_at_least_one() {
+        let counted = |degrees: &[f32]| turns(&facing(degrees));
         let to_and_fro = [steady(20, 540.0), steady(20, 540.0).into_iter().rev().collect()].concat();
         // Where the clip was cut, one steps from any facing to any other.
         let cut = [steady(20, 360.0), steady(20, 360.0).iter().map(|d| d + 120.0).collect()].concat();
@@ -202,5 +220,14 @@ mod tests {
             assert!((cost / second(30.0) - 1.0).abs() < 1e-9, "{n} frames: {cost}");
         }
         assert_eq!(acceleration(120.0), 1.0);
+    }
+
+    #[test]
+    fn what_is_usual_goes_by_the_turn() {
+        let [once, thrice] = [360.0, 1080.0].map(|turn| facing(&steady(38, turn)));
+        assert!((usual(&thrice) / acceleration(13.0) - 1.0).abs() < 0.01 && usual(&once) == 1.0);
+        for (poses, want) in [(once, 3.9), (thrice, 1.3)] {
+            assert!((frames_in(0.1, &poses) - want).abs() < 0.01, "{}", frames_in(0.1, &poses));
+        }
     }
 }

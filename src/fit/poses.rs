@@ -6,7 +6,7 @@ use super::FitError;
 use super::checkpointed::{Checkpointed, Checkpointer};
 use super::config::{FitConfig, Rates};
 use super::groups::{Group, SmoothCoordinates};
-use super::motion::{PLACE_JUMP, POSE_JUMP, turns};
+use super::motion::{PLACE_JUMP, POSE_JUMP, frames_in};
 use super::schedule::Step;
 use super::state::FitState;
 use crate::body::{N_JOINTS, N_POSE};
@@ -28,7 +28,7 @@ impl PoseGroups {
     pub fn new(gpu: &Gpu, config: &FitConfig, state: &FitState) -> Self {
         let adam = AdamConfig::default();
         let (poses, transl) = (&state.poses, &state.transl);
-        let frames = config.pose_smoothing * state.n_frames() as f32 / turns(&state.stage_poses) as f32;
+        let frames = frames_in(config.pose_smoothing, &state.stage_poses);
         let smooth = || {
             let of = |start: &[f32], per_frame, jump| SmoothInTime::new(gpu, start, per_frame, jump, frames);
             [of(&state.stage_poses, N_JOINTS, POSE_JUMP), of(&state.stage_transl, 1, PLACE_JUMP)]
