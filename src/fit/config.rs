@@ -125,7 +125,7 @@ pub struct FitConfig {
     pub solve_face_colours: bool,
     /// The part of a turn over which steps of pose and placement are spread; 0: each frame steps for itself.
     pub pose_smoothing: f32,
-    /// Whether pelvis, hips and spine turn in space, each without what hangs on it ([`crate::ops::bone_turns`]); else all joints move by
+    /// Whether the trunk's bones and hips turn in space, each without what hangs on it ([`crate::ops::bone_turns`]); else all joints move by
     /// SMPL's angles.
     pub bones_in_space: bool,
     /// Whether the keypoints of the hips count besides those of limbs and nose, as stage 0 has understood them.

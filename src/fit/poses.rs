@@ -9,7 +9,7 @@ use super::groups::{Group, SmoothCoordinates};
 use super::motion::{PLACE_JUMP, POSE_JUMP, frames_in};
 use super::schedule::Step;
 use super::state::FitState;
-use crate::body::joints::{LEFT_HIP, PELVIS, RIGHT_HIP, SPINE1};
+use crate::body::joints::{LEFT_HIP, PELVIS, RIGHT_HIP, SPINE1, SPINE2, SPINE3};
 use crate::body::{Body, N_JOINTS, N_POSE};
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::adam::{Adam, AdamConfig};
@@ -17,9 +17,9 @@ use crate::ops::bone_turns::{BoneTurns, Joints};
 use crate::ops::skinning::PoseAt;
 use crate::ops::tridiagonal::Tridiagonal;
 
-/// Joints whose bones turn in space ([`crate::ops::bone_turns`]): the pelvis turns between legs and a chest that stay. With all joints, arms
-/// stray at the clip's ends (docs/lab/poses.md).
-const IN_SPACE: [usize; 4] = [PELVIS, LEFT_HIP, RIGHT_HIP, SPINE1];
+/// Joints whose bones turn in space ([`crate::ops::bone_turns`]): each part of the trunk turns between neighbours that stay. Were knees and elbows
+/// among them, which are held as hinges, arms would stray at the clip's ends (docs/lab/poses.md).
+const IN_SPACE: [usize; 6] = [PELVIS, LEFT_HIP, RIGHT_HIP, SPINE1, SPINE2, SPINE3];
 
 /// The parameters of all frames.
 pub struct PoseGroups {
