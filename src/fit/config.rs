@@ -125,9 +125,6 @@ pub struct FitConfig {
     pub solve_face_colours: bool,
     /// The part of a turn over which steps of pose and placement are spread; 0: each frame steps for itself.
     pub pose_smoothing: f32,
-    /// Whether the trunk's bones and hips turn in space, each without what hangs on it ([`crate::ops::bone_turns`]); else all joints move by
-    /// SMPL's angles.
-    pub bones_in_space: bool,
     /// Whether the keypoints of the hips count besides those of limbs and nose, as stage 0 has understood them.
     pub hip_keypoints: bool,
     /// Whether the light is told from the albedo ([`crate::ops::light`]); else the colours hold both.
@@ -207,7 +204,6 @@ impl FitConfig {
             silhouette_gradient: SilhouetteGradient::Edge,
             solve_face_colours: true,
             pose_smoothing: 1.0 / 30.0,
-            bones_in_space: true,
             hip_keypoints: true,
             light: true,
             light_stands: false,
@@ -310,7 +306,7 @@ impl FitConfig {
         config.rates.offsets = DIRECT_OFFSET_RATE;
         config.frame_sampling = FrameSampling::Uniform;
         config.solve_face_colours = false;
-        (config.pose_smoothing, config.bones_in_space) = (0.0, false);
+        config.pose_smoothing = 0.0;
         config.hip_keypoints = false;
         config.geometry.weights.keypoints = 0.02;
         for weights in [&mut config.geometry.weights, &mut config.texture.weights] {

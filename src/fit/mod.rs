@@ -174,7 +174,7 @@ fn run_stage(
 /// Face colours and light for a geometry that was fitted without looking at colours.
 fn solve_colours(scene: &Scene, inputs: &Inputs<'_>, state: &mut FitState) -> Result<(), FitError> {
     Shape::stand(scene, state)?;
-    let (faces, poses) = (&inputs.body.faces, PoseGroups::new(&scene.gpu, inputs.config, inputs.body, state));
+    let (faces, poses) = (&inputs.body.faces, PoseGroups::new(&scene.gpu, inputs.config, state));
     let mut lit =
         inputs.config.light.then(|| Lit::new(&scene.gpu, faces, &scene.topology, state.n_frames(), state.light));
     state.face_colours = solve_face_colours(scene, faces, lit.as_mut(), &poses, 0)?.colours;

@@ -9,54 +9,32 @@ use super::groups::{Group, SmoothCoordinates};
 use super::motion::{PLACE_JUMP, POSE_JUMP, frames_in};
 use super::schedule::Step;
 use super::state::FitState;
-use crate::body::joints::{LEFT_HIP, PELVIS, RIGHT_HIP, SPINE1, SPINE2, SPINE3};
-use crate::body::{Body, N_JOINTS, N_POSE};
+use crate::body::{N_JOINTS, N_POSE};
 use crate::gpu::{Buffer, Gpu, GpuError, Recorder};
 use crate::ops::adam::{Adam, AdamConfig};
-use crate::ops::bone_turns::{BoneTurns, Joints};
 use crate::ops::skinning::PoseAt;
 use crate::ops::tridiagonal::Tridiagonal;
 
-/// Joints whose bones turn in space ([`crate::ops::bone_turns`]): each part of the trunk turns between neighbours that stay. Were knees and elbows
-/// among them, which are held as hinges, arms would stray at the clip's ends (docs/lab/poses.md).
-const IN_SPACE: [usize; 6] = [PELVIS, LEFT_HIP, RIGHT_HIP, SPINE1, SPINE2, SPINE3];
-
 /// The parameters of all frames.
 pub struct PoseGroups {
-    pub poses: Poses,
+    pub poses: Group,
     pub transl: Group,
-    /// What the poses are moved by.
-    turns: Group,
-    bones: BoneTurns,
     /// Of poses and places, where all frames step together.
     smooth: Option<[SmoothInTime; 2]>,
 }
 
-/// Poses of all frames, which follow from turns ([`crate::ops::bone_turns`]), and the gradient of the losses by them.
-pub struct Poses {
-    /// `[N, 72]`
-    pub values: Buffer<f32>,
-    pub grads: Buffer<f32>,
-}
-
 impl PoseGroups {
-    /// The parameters of `state`; steps begin where its stage began, and its frames are linked as they were then.
-    pub fn new(gpu: &Gpu, config: &FitConfig, body: &Body, state: &FitState) -> Self {
+    /// The parameters of `state`, whose frames are linked as they were when the stage began.
+    pub fn new(gpu: &Gpu, config: &FitConfig, state: &FitState) -> Self {
         let adam = AdamConfig::default();
-        let FitState { poses, stage_poses, transl, stage_transl, .. } = state;
-        let frames = frames_in(config.pose_smoothing, stage_poses);
-        let still = vec![0.0; stage_poses.len()];
+        let (poses, transl) = (&state.poses, &state.transl);
+        let frames = frames_in(config.pose_smoothing, &state.stage_poses);
         let smooth = || {
-            let turns = SmoothInTime::new(gpu, &still, &links(stage_poses, N_JOINTS, POSE_JUMP), N_JOINTS, frames);
-            [turns, SmoothInTime::new(gpu, stage_transl, &links(stage_transl, 1, PLACE_JUMP), 1, frames)]
+            let of = |start: &[f32], per_frame, jump| SmoothInTime::new(gpu, start, per_frame, jump, frames);
+            [of(&state.stage_poses, N_JOINTS, POSE_JUMP), of(&state.stage_transl, 1, PLACE_JUMP)]
         };
-        let in_space: [bool; N_JOINTS] =
-            std::array::from_fn(|joint| config.bones_in_space && IN_SPACE.contains(&joint));
-        let joints = Joints { parents: &body.parents, in_space: &in_space };
         Self {
-            poses: Poses { values: gpu.upload("fit/poses", poses), grads: gpu.zeros("fit/grad_poses", poses.len()) },
-            turns: Group::per_frame(gpu, "turns", &still, N_POSE, adam),
-            bones: BoneTurns::new(gpu, joints, stage_poses),
+            poses: Group::per_frame(gpu, "poses", poses, N_POSE, adam),
             transl: Group::per_frame(gpu, "transl", transl, 3, adam),
             smooth: (frames > 0.0).then(smooth),
         }
@@ -71,36 +49,33 @@ impl PoseGroups {
     }
 
     pub fn clear(&self, recorder: &mut Recorder<'_>) {
-        recorder.clear(&self.poses.grads);
+        self.poses.clear(recorder);
         self.transl.clear(recorder);
     }
 
     /// The weight, in a step that looks at `n` frames, of a term of every frame. A picture weighs 1 / n in it. Where a frame
     /// moves only in steps that look at it, the term weighs as much; where all frames move in each step, it comes more often.
     pub fn share_of_a_step(&self, n: usize) -> f32 {
-        if self.smooth.is_some() { 1.0 / self.turns.n_frames() as f32 } else { 1.0 / n as f32 }
+        if self.smooth.is_some() { 1.0 / self.poses.n_frames() as f32 } else { 1.0 / n as f32 }
     }
 
     pub(super) fn step(&mut self, recorder: &mut Recorder<'_>, rates: &Rates, step: &Step<'_>) {
         let rate = step.rate * step.phase.pose_rate;
-        let Self { poses, turns, bones, transl, smooth } = self;
-        turns.clear(recorder);
-        bones.backward(recorder, &turns.values, &poses.values, &poses.grads, &turns.grads);
+        let Self { poses, transl, smooth } = self;
         match smooth {
-            Some([smooth_turns, smooth_transl]) => {
-                smooth_turns.step(recorder, turns, rates.pose * rate);
+            Some([smooth_poses, smooth_transl]) => {
+                smooth_poses.step(recorder, poses, rates.pose * rate);
                 smooth_transl.step(recorder, transl, rates.transl * rate);
             }
             None => {
-                turns.step(recorder, step.frames, rates.pose * rate);
+                poses.step(recorder, step.frames, rates.pose * rate);
                 transl.step(recorder, step.frames, rates.transl * rate);
             }
         }
-        bones.forward(recorder, &turns.values, &poses.values);
     }
 
     pub fn read_into(&self, gpu: &Gpu, state: &mut FitState) -> Result<(), GpuError> {
-        state.poses = gpu.read(&self.poses.values)?;
+        state.poses = self.poses.read(gpu)?;
         state.transl = self.transl.read(gpu)?;
         Ok(())
     }
@@ -108,12 +83,11 @@ impl PoseGroups {
 
 impl Checkpointed for PoseGroups {
     fn checkpoint(&mut self, checkpointer: &mut Checkpointer<'_>, name: &str) -> Result<(), FitError> {
-        checkpointer.buffer(&format!("{name}.poses"), &self.poses.values)?;
-        let parts = [("turns", &mut self.turns), ("transl", &mut self.transl)];
+        let parts = [("poses", &mut self.poses), ("transl", &mut self.transl)];
         for (part, group) in parts {
             group.checkpoint(checkpointer, &format!("{name}.{part}"))?;
         }
-        for (part, smooth) in ["turns", "transl"].iter().zip(self.smooth.iter_mut().flatten()) {
+        for (part, smooth) in ["poses", "transl"].iter().zip(self.smooth.iter_mut().flatten()) {
             smooth.checkpoint(checkpointer, &format!("{name}.{part}.smooth"))?;
         }
         Ok(())
@@ -138,15 +112,13 @@ struct SmoothInTime {
 }
 
 impl SmoothInTime {
-    /// `start [N, per_frame, 3]`. Steps spread over some `frames` frames where these are linked, `[N, per_frame]`.
-    fn new(gpu: &Gpu, start: &[f32], linked: &[bool], per_frame: usize, frames: f32) -> Self {
+    /// `start [N, per_frame, 3]`. Steps spread over some `frames` frames, but not where a number changes by more than `jump`:
+    /// axis-angle vectors jump at half turns, and a gap in the clip is no motion.
+    fn new(gpu: &Gpu, start: &[f32], per_frame: usize, jump: f32, frames: f32) -> Self {
         let beyond = (REACH * frames).ceil() as usize;
         let chain = prolonged(start, 3 * per_frame, beyond);
         let first = 3 * per_frame * beyond;
-        let ends = vec![true; per_frame * beyond];
-        let last = linked.len().saturating_sub(per_frame);
-        let linked = [&ends, &linked[..last], &vec![true; linked.len() - last], &ends].concat();
-        let solver = Tridiagonal::new(gpu, &linked, per_frame, f64::from(frames * frames));
+        let solver = Tridiagonal::new(gpu, &links(&chain, per_frame, jump), per_frame, f64::from(frames * frames));
         Self {
             smooth: SmoothCoordinates::new(gpu, solver, &chain),
             adam: Adam::new(gpu, "smooth_in_time", chain.len(), AdamConfig::default()),
@@ -188,8 +160,7 @@ fn prolonged(values: &[f32], stride: usize, beyond: usize) -> Vec<f32> {
     [ends(first), values.to_vec(), ends(last)].concat()
 }
 
-/// `[N, per_frame]`: whether an entry of `values [N, per_frame, 3]` goes on in the next frame without changing by more than `jump`:
-/// axis-angle vectors jump at half turns, and a gap in the clip is no motion.
+/// `[N, per_frame]`: whether an entry of `values [N, per_frame, 3]` goes on in the next frame without a jump.
 fn links(values: &[f32], per_frame: usize, jump: f32) -> Vec<bool> {
     let entries = values.as_chunks::<3>().0;
     let near = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).all(|(x, y)| (x - y).abs() <= jump);
@@ -220,47 +191,13 @@ mod tests {
         assert_eq!(prolonged(&[1.0, 2.0], 2, 0), [1.0, 2.0]);
     }
 
-    /// Angles between the orientations in space before and after one step down a gradient by the root's angles.
-    fn turned_in_space(gpu: &Gpu, config: &FitConfig) -> [f64; N_JOINTS] {
-        let body = Body::test_body();
-        let mut pose = [0.1; N_POSE];
-        pose[..3].copy_from_slice(&[3.0, 0.2, -0.1]);
-        let state = FitState::new(&body, vec![0.0; body.n_betas], &[pose], &[[0.0; 3]], config.field, 1);
-        let mut groups = PoseGroups::new(gpu, config, &body, &state);
-        let mut gradient = [0.0; N_POSE];
-        gradient[..3].copy_from_slice(&[0.3, -1.0, 0.5]);
-        gpu.write(&groups.poses.grads, 0, &gradient);
-        let phase = &config.geometry.phases[0];
-        let mut recorder = gpu.recorder("fit/poses/test");
-        groups.step(&mut recorder, &config.rates, &Step { phase, frames: &[0], trust: &[1.0], rate: 1.0, number: 1 });
-        recorder.submit().unwrap();
-        let orientations = |pose: &[f32]| {
-            let mut all = [glam::DQuat::IDENTITY; N_JOINTS];
-            for (j, w) in pose.as_chunks::<3>().0.iter().enumerate() {
-                let above = usize::try_from(body.parents[j]).map_or(glam::DQuat::IDENTITY, |parent| all[parent]);
-                all[j] = above * glam::DQuat::from_scaled_axis(w.map(f64::from).into());
-            }
-            all
-        };
-        let (before, after) = (orientations(&pose), orientations(&gpu.read(&groups.poses.values).unwrap()));
-        std::array::from_fn(|j| before[j].angle_between(after[j]))
-    }
-
-    #[test]
-    fn a_pelvis_turns_between_legs_and_a_chest_that_stay() {
-        let Some(gpu) = gpu("fit::poses::a_pelvis_turns_between_legs_and_a_chest_that_stay") else { return };
-        let [alone, whole] = [FitConfig::standard(1), FitConfig::paper(1)].map(|config| turned_in_space(&gpu, &config));
-        assert!(alone[PELVIS] > 1e-3 && alone[1..].iter().all(|&angle| angle < 1e-5), "{alone:?}");
-        assert!(whole.iter().all(|&angle| angle > 1e-3), "the paper's angles take all along: {whole:?}");
-    }
-
     #[test]
     fn the_ends_of_a_clip_follow_a_slope_as_its_middle_does() {
         let Some(gpu) = gpu("fit::poses::the_ends_of_a_clip_follow_a_slope_as_its_middle_does") else { return };
         let n = 30;
         let wanted: Vec<f32> = (0..3 * n).map(|i| 0.01 * (i / 3) as f32 - 0.15).collect();
         let group = Group::per_frame(&gpu, "test", &vec![0.0; 3 * n], 3, AdamConfig::default());
-        let mut chain = SmoothInTime::new(&gpu, &vec![0.0; 3 * n], &vec![true; n], 1, 4.0);
+        let mut chain = SmoothInTime::new(&gpu, &vec![0.0; 3 * n], 1, 1.0, 4.0);
         let mut off = vec![0.0; 3 * n];
         for step in 0..150 {
             let values = group.read(&gpu).unwrap();

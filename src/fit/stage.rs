@@ -55,7 +55,7 @@ impl<'a> StageWork<'a> {
             scene,
             config,
             stage,
-            poses: PoseGroups::new(gpu, config, inputs.body, state),
+            poses: PoseGroups::new(gpu, config, state),
             shape,
             appearance,
             soft: (weights.rgb_soft != 0.0).then(|| (SoftTerm::new(scene), RgbL1::new(gpu, scene.max_pixels))),

@@ -30,7 +30,6 @@ const SHARED: &[(&str, &str)] = &[
     ("shared/rgb_params", include_str!("../../shaders/shared/rgb_params.wgsl")),
     ("shared/rgb_weight", include_str!("../../shaders/shared/rgb_weight.wgsl")),
     ("shared/rodrigues", include_str!("../../shaders/shared/rodrigues.wgsl")),
-    ("shared/rotation_vector", include_str!("../../shaders/shared/rotation_vector.wgsl")),
     ("shared/sample", include_str!("../../shaders/shared/sample.wgsl")),
     ("shared/shade_parts", include_str!("../../shaders/shared/shade_parts.wgsl")),
     ("shared/silhouette", include_str!("../../shaders/shared/silhouette.wgsl")),

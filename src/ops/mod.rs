@@ -23,7 +23,6 @@ pub mod adam;
 pub mod add;
 pub mod anchor;
 pub mod angular_acceleration;
-pub mod bone_turns;
 mod corners;
 pub mod diffuse;
 pub mod edge_gradient;

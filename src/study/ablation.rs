@@ -58,7 +58,6 @@ const CHANGES: &[Change] = &[
     Change { name: "no soft image", apply: |config| no_soft_image(config) },
     Change { name: "no prior on motion", apply: |config| no_motion(config) },
     Change { name: "poses step frame by frame", apply: |config| config.pose_smoothing = 0.0 },
-    Change { name: "no bones that turn in space", apply: |config| config.bones_in_space = false },
     Change { name: "the shape stands in stage 2", apply: |config| *config = config.clone().with_shape_standing() },
     Change { name: "β and poses before D", apply: naked_first },
     Change { name: "all in one stage", apply: |config| *config = config.clone().joint() },

@@ -104,7 +104,7 @@ impl Detail {
         };
         let scene = Scene::new(gpu, &inputs, pictures.into_iter().map(compared).collect(), &start.transl);
         Shape::stand(&scene, start)?;
-        let poses = PoseGroups::new(gpu, config, body, start);
+        let poses = PoseGroups::new(gpu, config, start);
         let mut most_pixels = 1;
         for k in 0..scene.frames.len() {
             most_pixels = most_pixels.max(covered(&scene, &poses, k)?);

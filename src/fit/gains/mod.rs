@@ -41,7 +41,7 @@ impl FrameGains {
         let halved = |mut frame: DeviceFrame| DeviceFrame { levels: vec![frame.levels.swap_remove(LEVEL)] };
         let scene = Scene::new(gpu, inputs, frames.into_iter().map(halved).collect(), &start.transl);
         Shape::stand(&scene, start)?;
-        let poses = PoseGroups::new(gpu, inputs.config, inputs.body, start);
+        let poses = PoseGroups::new(gpu, inputs.config, start);
         let gains = solve_gains(&scene, &inputs.body.faces, &poses, 0)?;
         Ok(gains.map(|gains| Self::new(inputs.capture, gains, white)))
     }
