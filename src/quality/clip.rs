@@ -25,7 +25,7 @@ const BLOB: f64 = 0.01;
 const JUMP: f64 = 0.035;
 /// With fewer frames a turn, arms that pass the outline change the area as much from frame to frame.
 const FRAMES_FOR_JUMPS: usize = 48;
-/// A frame's sharpness, of the clip's median.
+/// A frame's sharpness along rows or columns, of the clip's median there.
 const BLURRED: f64 = 0.6;
 /// The clip's median sharpness.
 const BLURRED_CLIP: f64 = 0.16;
@@ -45,8 +45,10 @@ pub struct FrameMeasures {
     pub second_blob: f64,
     /// Foreground pixels on the picture's top, bottom, left and right border.
     pub border_px: [usize; 4],
-    /// See [`sharpness`](mod@super::sharpness); `None` where it cannot be told.
+    /// See [`Sharpness::least`](super::sharpness::Sharpness::least); `None` where it cannot be told.
     pub sharpness: Option<f64>,
+    /// Along rows and along columns, see [`Sharpness::along`](super::sharpness::Sharpness::along).
+    pub sharpness_along: [Option<f64>; 2],
     /// Pixels from the mask's edge outwards to that of the person in the picture; `None` where it cannot be told.
     pub edge_offset_px: Option<f64>,
     /// Points of shoulders, elbows, wrists, hips, knees and ankles that were detected, of 12.
@@ -76,13 +78,15 @@ fn measure_frame(capture: &Capture, frame: &Frame) -> FrameMeasures {
     };
     let points = points_of(&capture.keypoint_format).unwrap_or_default();
     let seen = |((part, _), [_, _, confidence]): (&Keypoint, &[f32; 3])| part.is_of_limb() && *confidence >= SEEN;
+    let sharp = sharpness(width, height, &frame.rgb, &frame.mask);
     FrameMeasures {
         frame: frame.index,
         mask_area_px: mask.area(),
         height_px,
         second_blob: parts.get(1).map_or(0.0, |&second| second as f64 / parts[0] as f64),
         border_px: border(capture, frame, &mask),
-        sharpness: sharpness(width, height, &frame.rgb, &frame.mask),
+        sharpness: sharp.and_then(|sharp| sharp.least),
+        sharpness_along: sharp.map_or([None; 2], |sharp| sharp.along),
         edge_offset_px: edge_offset(frame, height_px),
         limbs_seen: points.iter().zip(&frame.keypoints).filter(|point| seen(*point)).count(),
         points_off_mask: frame.keypoints.iter().filter(off).count(),
@@ -209,9 +213,14 @@ fn jumps(values: &[(f64, f64)]) -> Vec<f64> {
     (0..off.len()).map(|t| if is_peak(t) { off[t] } else { 0.0 }).collect()
 }
 
+/// A direction is compared with itself: stripes that are hardly seen in one frame are no blur, and what a motion along the stripes of
+/// a cloth leaves of its weaker direction is too little to be told without the other frames.
 fn blurred(measures: &[FrameMeasures]) -> Option<Flag> {
-    let usual = median(measures.iter().filter_map(|m| m.sharpness))?;
-    let relative = |m: &FrameMeasures| m.sharpness.map_or(1.0, |s| s / usual);
+    let usual = [0, 1].map(|k| median(measures.iter().filter_map(|m| m.sharpness_along[k])));
+    let relative = |m: &FrameMeasures| {
+        let both = m.sharpness_along.iter().zip(usual).filter_map(|(along, usual)| Some((*along)? / usual?));
+        both.fold(1.0, f64::min)
+    };
     of_frames(measures, Kind::Blurred, "the person is blurred", BLURRED, relative, |a, b| a < b)
 }
 
@@ -358,6 +367,31 @@ mod tests {
         assert_eq!((flag.code, flag.frames), ("blurred", vec![12]));
         let flag = flag_of(|c| c.frames.iter_mut().for_each(smear));
         assert_eq!((flag.code, flag.frames), ("blurred_clip", vec![]));
+    }
+
+    #[test]
+    fn blur_along_the_stripes_of_a_cloth_is_seen() {
+        // Upright stripes with a weak pattern along them.
+        let striped = |frame: &mut Frame, smeared: bool| {
+            let (width, height) = (frame.width as usize, frame.height as usize);
+            let pattern = |x: usize, y: usize| {
+                let stripe = if (x / 8).is_multiple_of(2) { 60 } else { 180 };
+                stripe + if (y / 7).is_multiple_of(2) { 0 } else { 36 }
+            };
+            let rows = |y: usize| if smeared { y.saturating_sub(4)..(y + 5).min(height) } else { y..y + 1 };
+            let mean = |x: usize, y: usize| rows(y).map(|y| pattern(x, y)).sum::<usize>() / rows(y).len();
+            frame.rgb = (0..width * height).flat_map(|i| [mean(i % width, i / width) as u8; 3]).collect();
+        };
+        let clip = |smeared: usize| {
+            flags(&{
+                let mut capture = capture(24);
+                capture.frames.iter_mut().enumerate().for_each(|(i, frame)| striped(frame, i == smeared));
+                capture
+            })
+        };
+        let blurred = |flags: Vec<Flag>| flags.into_iter().find(|flag| flag.code == "blurred").map(|flag| flag.frames);
+        assert_eq!(blurred(clip(24)), None);
+        assert_eq!(blurred(clip(6)), Some(vec![12]));
     }
 
     #[test]

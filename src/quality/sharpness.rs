@@ -1,12 +1,25 @@
 //! How sharp the person's picture is, told apart from how much there is to see on it: the energy of second differences inside
-//! the mask at full over that at half resolution, in the direction in which that is less (motion smears along one). Sharp
-//! edges give some 0.4; what is blurred over several pixels comes near 1/16, since a smooth picture's second difference is a
-//! quarter as large at twice the resolution.
+//! the mask at full over that at half resolution, along rows and along columns (motion smears along one). Sharp edges give
+//! some 0.4; what is blurred over several pixels comes near 1/16, since a smooth picture's second difference is a quarter as
+//! large at twice the resolution.
 
 use crate::mask::is_foreground;
 
-/// A direction tells something where it has this part of the other's energy: a motion of 9 px leaves more.
+/// In a clip that is known by this frame alone a direction tells something where it has this part of the other's energy: an even
+/// surface has no edges that could be sharp, and one with stripes has them in one direction only.
 const LESSER: f64 = 0.1;
+/// Energies below are none.
+const LEAST: f64 = 1e-6;
+
+/// A frame's sharpness.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sharpness {
+    /// Along rows and along columns; `None` where there is nothing to see. How much a pattern's edges give there differs from cloth to cloth
+    /// and is alike in the frames of a clip.
+    pub along: [Option<f64>; 2],
+    /// The lesser of those that tell something by themselves.
+    pub least: Option<f64>,
+}
 
 /// Luma and mask of one resolution.
 struct Level {
@@ -58,14 +71,13 @@ impl Level {
     }
 }
 
-/// Sharpness of a crop `[height, width, 3]` inside its mask; `None` where there is too little to tell.
-pub fn sharpness(width: usize, height: usize, rgb: &[u8], mask: &[u8]) -> Option<f64> {
+/// Sharpness of a crop `[height, width, 3]` inside its mask; `None` where there is too little of it.
+pub fn sharpness(width: usize, height: usize, rgb: &[u8], mask: &[u8]) -> Option<Sharpness> {
     let whole = Level::of(width, height, rgb, mask);
     let (fine, coarse) = (whole.energies(3)?, whole.half().energies(1)?);
-    // An even surface has no edges that could be sharp, and one with stripes has them in one direction only.
-    let least = (LESSER * coarse[0].max(coarse[1])).max(1e-6);
-    let ratio = |k: usize| (coarse[k] > least).then_some(fine[k] / coarse[k]);
-    [0, 1].into_iter().filter_map(ratio).reduce(f64::min)
+    let beyond = |least: f64| [0, 1].map(|k| (coarse[k] > least).then_some(fine[k] / coarse[k]));
+    let telling = beyond((LESSER * coarse[0].max(coarse[1])).max(LEAST));
+    Some(Sharpness { along: beyond(LEAST), least: telling.into_iter().flatten().reduce(f64::min) })
 }
 
 #[cfg(test)]
@@ -86,7 +98,7 @@ mod tests {
     #[test]
     fn blur_lowers_it_step_by_step() {
         let mask = vec![255; 120 * 120];
-        let of = |radii| sharpness(120, 120, &cloth(radii), &mask).unwrap();
+        let of = |radii| sharpness(120, 120, &cloth(radii), &mask).and_then(|s| s.least).unwrap();
         let [sharp, soft, smeared] = [[0, 0], [1, 1], [3, 0]].map(of);
         assert!(sharp > 0.3 && soft < 0.6 * sharp && smeared < 0.6 * sharp, "{sharp} {soft} {smeared}");
     }
@@ -96,12 +108,13 @@ mod tests {
         let stripe = |y: usize| if (y / 9).is_multiple_of(2) { 60 } else { 190 };
         // A slow ramp along the stripes, as light has it.
         let rgb: Vec<u8> = (0..120 * 120).flat_map(|i| [stripe(i / 120) + (i % 120 / 6) as u8; 3]).collect();
-        assert!(sharpness(120, 120, &rgb, &[255; 120 * 120]).unwrap() > 0.3);
+        assert!(sharpness(120, 120, &rgb, &[255; 120 * 120]).unwrap().least.unwrap() > 0.3);
     }
 
     #[test]
     fn what_is_even_or_too_small_cannot_be_told() {
-        assert_eq!(sharpness(120, 120, &vec![90; 3 * 120 * 120], &vec![255; 120 * 120]), None);
+        let even = sharpness(120, 120, &vec![90; 3 * 120 * 120], &vec![255; 120 * 120]);
+        assert_eq!(even, Some(Sharpness { along: [None; 2], least: None }));
         assert_eq!(sharpness(6, 6, &[0; 108], &[255; 36]), None);
     }
 }
