@@ -5,7 +5,7 @@
 
 use crate::mask::is_foreground;
 
-/// In a clip that is known by this frame alone a direction tells something where it has this part of the other's energy: an even
+/// By itself, without the clip's other frames, a direction tells something where it has this part of the other's energy: an even
 /// surface has no edges that could be sharp, and one with stripes has them in one direction only.
 const LESSER: f64 = 0.1;
 /// Energies below are none.
