@@ -1,6 +1,6 @@
 //! Clips that come with poses: the fit keeps to them and finds the shape.
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DMat4, DVec3};
 
 use super::noise;
 use super::problem::{Problem, geman_mcclure_share};
@@ -16,6 +16,8 @@ use crate::capture::{Capture, KnownPoses};
 /// it tells the person's size.
 const SHIFT_STEPS: usize = 12;
 const SHIFT_SIGMA: DVec3 = DVec3::new(0.002, 0.2, 0.002);
+/// How much larger or smaller than the mean a person is, log.
+const GROWTH_SIGMA: f64 = 0.15;
 /// Shifts below this are the fit's own business, metres.
 const SHIFT_OF_NOTE: f64 = 0.03;
 
@@ -86,30 +88,37 @@ pub fn camera_rotation(capture: &Capture) -> DMat3 {
 }
 
 /// A displacement in camera space that brings all frames nearer to their keypoints: Gauss–Newton with
-/// Geman–McClure weights.
+/// Geman–McClure weights. The shape is still to be found, and what a person of another size has further from the pelvis must not
+/// pass for another pelvis: so the body may grow about it meanwhile.
 fn common_shift(problem: &Problem, start: &State, to_camera: &DMat3, sigma_px: f64) -> DVec3 {
     let mut state = start.clone();
-    let mut shift = DVec3::ZERO;
+    let (mut shift, mut growth) = (DVec3::ZERO, 0.0);
     let certainty = *to_camera * DMat3::from_diagonal((SHIFT_SIGMA * SHIFT_SIGMA).recip()) * to_camera.transpose();
     for _ in 0..SHIFT_STEPS {
-        let mut h = certainty;
-        let mut g = certainty * shift;
+        let mut h = DMat4::from_mat3(certainty);
+        h.w_axis.w = GROWTH_SIGMA.powi(-2);
+        let mut g = (certainty * shift).extend(growth * h.w_axis.w);
         for (t, frame) in state.frames.iter().enumerate() {
             let posed = problem.rig.pose(frame, &state.shared);
             for (k, seen) in problem.observations[t].iter().enumerate().filter(|(_, o)| o.weight > 0.0) {
-                let place = posed.place(&problem.points[k], &state.shared.betas, DVec3::ZERO);
+                let from_pelvis = posed.place(&problem.points[k], &state.shared.betas, DVec3::ZERO) - frame.pelvis;
+                let grown = from_pelvis * f64::exp(growth);
+                let place = frame.pelvis + grown;
                 let error = problem.camera.project(place) - seen.at;
                 let share = geman_mcclure_share(error.length_squared() / (sigma_px * sigma_px), 3.0);
                 let weight = seen.weight * share * share / (sigma_px * sigma_px);
                 for (slope, residual) in problem.camera.slopes(place).into_iter().zip(error.to_array()) {
-                    h += DMat3::from_cols(slope * slope.x, slope * slope.y, slope * slope.z) * weight;
-                    g += slope * (weight * residual);
+                    let slope = slope.extend(slope.dot(grown));
+                    let row = slope * weight;
+                    h += DMat4::from_cols(row * slope.x, row * slope.y, row * slope.z, row * slope.w);
+                    g += row * residual;
                 }
             }
         }
         let step = -(h.inverse() * g);
-        shift += step;
-        state.frames.iter_mut().for_each(|f| f.pelvis += step);
+        shift += step.truncate();
+        growth += step.w;
+        state.frames.iter_mut().for_each(|f| f.pelvis += step.truncate());
     }
     shift
 }

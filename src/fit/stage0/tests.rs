@@ -383,23 +383,27 @@ fn distances_to_a_disc() {
     assert!(Field::new(grid, &[true; 50 * 60]).is_none());
 }
 
-#[test]
-fn given_poses_are_kept_and_give_the_shape() {
-    let body = Body::test_body();
-    let how = Difficulty { frames: 10, masks: true, betas: vec![0.1, 0.8, 0.9], seed: 13, ..Difficulty::default() };
-    let mut clip = clip(&body, &how);
+/// A clip's true poses.
+fn known(clip: &Clip) -> KnownPoses {
     let numbers = |pose: &Pose| {
         let mut theta = pose.theta;
         theta[0] = rotation::log(pose.root);
         theta.iter().flat_map(|v| v.as_vec3().to_array()).collect::<Vec<f32>>()
     };
-    let known = KnownPoses {
+    KnownPoses {
         poses: clip.poses.iter().map(numbers).collect(),
         trans: clip.poses.iter().map(|p| p.pelvis.as_vec3().to_array()).collect(),
         is_pelvis: true,
         betas: None,
-    };
-    clip.capture.poses = Some(known);
+    }
+}
+
+#[test]
+fn given_poses_are_kept_and_give_the_shape() {
+    let body = Body::test_body();
+    let how = Difficulty { frames: 10, masks: true, betas: vec![0.1, 0.8, 0.9], seed: 13, ..Difficulty::default() };
+    let mut clip = clip(&body, &how);
+    clip.capture.poses = Some(known(&clip));
     let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
     let errors = errors(&body, &clip, &result);
     assert!(errors.joints < 0.015, "{errors:?} {:?}", result.betas);
@@ -425,6 +429,18 @@ fn given_poses_are_kept_and_give_the_shape() {
     clip.capture.poses.as_mut().unwrap().poses[4].pop();
     let error = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap_err();
     assert!(matches!(error, Stage0Error::PoseLength { frame: 4, found: 71 }), "{error}");
+}
+
+#[test]
+fn somebody_tall_has_no_other_pelvis() {
+    let body = Body::test_body();
+    let mut clip =
+        clip(&body, &Difficulty { frames: 10, masks: true, betas: vec![4.0], seed: 13, ..Difficulty::default() });
+    clip.capture.poses = Some(KnownPoses { is_pelvis: false, ..known(&clip) });
+    let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
+    let errors = errors(&body, &clip, &result);
+    assert!(errors.joints < 0.015, "{errors:?}");
+    assert!(result.report.notes.is_empty(), "{:?}", result.report.notes);
 }
 
 #[test]
