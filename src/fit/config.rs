@@ -1,5 +1,6 @@
 //! The numbers of a fit: weights, learning rates, schedules, presets.
 
+use super::stage0::Trust;
 use crate::ops::soft_rasterize::SoftRasterizeParams;
 use crate::ops::texture_field::TextureFieldConfig;
 
@@ -110,6 +111,24 @@ pub struct StageConfig {
     pub phases: Vec<Phase>,
 }
 
+/// How far from where a stage began poses may go that came with the clip ([`super::stage0::Trust`]).
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Held {
+    /// Radians.
+    pub root: f32,
+    pub joints: f32,
+    /// Metres.
+    pub place: f32,
+}
+
+impl Held {
+    /// As far as they are known.
+    pub fn as_known(off: Trust) -> Self {
+        let Trust { root, place, joints } = off;
+        Self { root: root as f32, joints: joints as f32, place: place as f32 }
+    }
+}
+
 /// Everything that a fit depends on besides the clip and the body.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct FitConfig {
@@ -125,6 +144,9 @@ pub struct FitConfig {
     pub solve_face_colours: bool,
     /// The part of a turn over which steps of pose and placement are spread; 0: each frame steps for itself.
     pub pose_smoothing: f32,
+    /// Where poses were given, how firmly they are held; else as is usual of each joint.
+    #[serde(default)]
+    pub held: Option<Held>,
     /// Whether the keypoints of the hips count besides those of limbs and nose, as stage 0 has understood them.
     pub hip_keypoints: bool,
     /// Whether the light is told from the albedo ([`crate::ops::light`]); else the colours hold both.
@@ -204,6 +226,7 @@ impl FitConfig {
             silhouette_gradient: SilhouetteGradient::Edge,
             solve_face_colours: true,
             pose_smoothing: 1.0 / 30.0,
+            held: None,
             hip_keypoints: true,
             light: true,
             light_stands: false,

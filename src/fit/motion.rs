@@ -1,7 +1,7 @@
 //! What is expected of poses besides the pictures, for both stages: smooth motion, since a frame alone says little about its
 //! depth, and joints near where the stage found them, the more so the less pictures tell of them.
 
-use super::config::Weights;
+use super::config::{Held, Weights};
 use super::poses::PoseGroups;
 use crate::body::joints::{
     LEFT_ANKLE, LEFT_ELBOW, LEFT_FOOT, LEFT_HAND, LEFT_HIP, LEFT_KNEE, PELVIS, RIGHT_ANKLE, RIGHT_ELBOW, RIGHT_FOOT,
@@ -57,13 +57,15 @@ fn turns(poses: &[f32]) -> f64 {
 /// What is hardly seen is held the more firmly: knees and elbows are hinges, a standing leg is not twisted, and of toes and
 /// fingers pictures tell little. Left to the pictures alone, such numbers take up what is wrong with the shape and the
 /// raster's noise. But a leg that the start `[N, 72]` twists to and fro, since the person steps round, goes on as it likes.
-fn anchor_scales(start: &[f32]) -> [[f64; 3]; N_JOINTS] {
+///
+/// Poses that are known are `held` as firmly as they are known: to go away from them is nearly always to follow something else that is wrong.
+fn anchor_scales(start: &[f32], held: Option<Held>) -> [[f64; 3]; N_JOINTS] {
     const USUAL: f64 = 0.1;
     const HINGE: f64 = 0.01;
     const TWIST: f64 = 0.02;
     const END: f64 = 0.03;
     let twist = |joint: usize| TWIST.max(spread(start.chunks_exact(N_POSE).map(|pose| pose[3 * joint + 1].into())));
-    std::array::from_fn(|joint| match joint {
+    let usual = |joint: usize| match joint {
         // The root's orientation is well seen.
         PELVIS => [f64::INFINITY; 3],
         LEFT_HIP | RIGHT_HIP => [USUAL, twist(joint), USUAL],
@@ -72,7 +74,13 @@ fn anchor_scales(start: &[f32]) -> [[f64; 3]; N_JOINTS] {
         LEFT_ELBOW | RIGHT_ELBOW => [HINGE, USUAL, HINGE],
         LEFT_FOOT | RIGHT_FOOT | LEFT_HAND | RIGHT_HAND => [END; 3],
         _ => [USUAL; 3],
-    })
+    };
+    let most = |joint: usize| match held {
+        Some(held) if joint == PELVIS => held.root.into(),
+        Some(held) => held.joints.into(),
+        None => f64::INFINITY,
+    };
+    std::array::from_fn(|joint| usual(joint).map(|scale| scale.min(most(joint))))
 }
 
 /// The accelerations of `values [N, stride]`, those up to `least` left out.
@@ -102,12 +110,14 @@ pub struct Motion {
     joints: Temporal,
     transl: Temporal,
     anchor: Anchor,
+    /// Of places that were given.
+    place_anchor: Option<Anchor>,
 }
 
 impl Motion {
     /// `start [N, 72]`: the poses that the joints are held near, `places [N, 3]`: where the person stands in them; what moves
-    /// quickly there is expected to. `times [N]`: when the frames were taken, in any unit.
-    pub fn new(gpu: &Gpu, start: &[f32], places: &[f32], times: &[f64]) -> Self {
+    /// quickly there is expected to. `times [N]`: when the frames were taken, in any unit. `held`: where poses were given.
+    pub fn new(gpu: &Gpu, start: &[f32], places: &[f32], times: &[f64], held: Option<Held>) -> Self {
         let spacing = &spacing(times);
         let usual = usual(start);
         let stride = N_POSE;
@@ -119,12 +129,16 @@ impl Motion {
         let turns = angular_acceleration::cpu::large(&root, start, spacing, STEP * root.scale);
         let bends = steps(start, stride, spacing, STEP * joints.scale);
         let moves = steps(places, 3, spacing, STEP * transl.scale);
-        let anchor = AnchorConfig { scales: anchor_scales(start).as_flattened().to_vec() };
+        let anchor = AnchorConfig { scales: anchor_scales(start, held).as_flattened().to_vec() };
         Self {
             root: AngularAcceleration::new(gpu, root, Given { expected: &turns, spacing }),
             joints: Temporal::new(gpu, joints, Given { expected: &bends, spacing }),
             transl: Temporal::new(gpu, transl, Given { expected: &moves, spacing }),
             anchor: Anchor::new(gpu, &anchor, start),
+            place_anchor: held.map(|held| {
+                let anchor = AnchorConfig { scales: vec![held.place.into(); 3] };
+                Anchor::new(gpu, &anchor, places)
+            }),
         }
     }
 
@@ -138,6 +152,9 @@ impl Motion {
         }
         if weights.anchor != 0.0 {
             self.anchor.backward(recorder, &poses.values, share * weights.anchor, &poses.grads);
+            if let Some(anchor) = &self.place_anchor {
+                anchor.backward(recorder, &transl.values, share * weights.anchor, &transl.grads);
+            }
         }
     }
 }
@@ -179,7 +196,7 @@ mod tests {
 
     #[test]
     fn hinges_are_held_where_they_do_not_bend() {
-        let scales = anchor_scales(&[0.0; 2 * N_POSE]);
+        let scales = anchor_scales(&[0.0; 2 * N_POSE], None);
         let held = |joint: usize| scales[joint].map(|scale| scale < 0.05);
         // A knee bends about the axis that points to the left, an elbow in the T-pose about the vertical one.
         assert_eq!([LEFT_KNEE, RIGHT_KNEE].map(held), [[false, true, true]; 2]);
@@ -190,13 +207,22 @@ mod tests {
     }
 
     #[test]
+    fn given_poses_are_held_as_they_are_known() {
+        let held = Held { root: 0.005, joints: 0.015, place: 0.01 };
+        let scales = anchor_scales(&[0.0; 2 * N_POSE], Some(held));
+        let [root, joints, hinge] = [0.005f32, 0.015, 0.01].map(f64::from);
+        assert_eq!((scales[PELVIS], scales[LEFT_SHOULDER]), ([root; 3], [joints; 3]));
+        assert!((scales[LEFT_KNEE][0] - joints).abs() < 1e-9 && (scales[LEFT_KNEE][1] - hinge).abs() < 1e-9);
+    }
+
+    #[test]
     fn a_leg_that_steps_may_twist() {
         let hip = |joint: usize| 3 * joint + 1;
         let mut start = vec![0.0; 8 * N_POSE];
         for (frame, pose) in start.chunks_exact_mut(N_POSE).enumerate() {
             pose[hip(LEFT_HIP)] = if frame % 2 == 0 { 0.3 } else { -0.3 };
         }
-        let scales = anchor_scales(&start);
+        let scales = anchor_scales(&start, None);
         let twist = |joint: usize| scales.as_flattened()[hip(joint)];
         assert!((twist(LEFT_HIP) - 0.3).abs() < 1e-6 && twist(RIGHT_HIP) < 0.05);
     }

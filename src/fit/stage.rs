@@ -61,7 +61,7 @@ impl<'a> StageWork<'a> {
             soft: (weights.rgb_soft != 0.0).then(|| (SoftTerm::new(scene), RgbL1::new(gpu, scene.max_pixels))),
             silhouette: SilhouetteTerm::new(scene, config.silhouette_gradient),
             keypoints: if weights.keypoints != 0.0 { keypoints() } else { None },
-            motion: Motion::new(gpu, &state.stage_poses, &state.stage_transl, &times),
+            motion: Motion::new(gpu, &state.stage_poses, &state.stage_transl, &times, config.held),
             losses: Losses::new(scene, state.stage),
         })
     }

@@ -32,6 +32,16 @@ pub struct ContradictedFocal {
     pub limit: f64,
 }
 
+/// Poses that came with a clip and are not those that its keypoints show.
+#[derive(Clone, Copy, Debug)]
+pub struct ContradictedPoses {
+    /// By how much their joints are off in a frame, 1σ, and how much is not worse than what is found without poses, degrees.
+    pub off_degrees: f64,
+    pub limit_degrees: f64,
+    /// Poses of the fit's own took their place.
+    pub replaced: bool,
+}
+
 /// What is known at the end of a fit.
 #[derive(Clone, Debug)]
 pub struct FitFindings<'a> {
@@ -48,6 +58,7 @@ pub struct FitFindings<'a> {
     /// `[N]` from the camera to the pelvis, in heights of the undressed body: what one camera can tell of distance
     pub distances: &'a [f64],
     pub contradicted_focal: Option<ContradictedFocal>,
+    pub contradicted_poses: Option<ContradictedPoses>,
     /// Of the frames with keypoints: root mean square from them to the joints that stage 0 finds, over the person's height
     pub keypoint_residuals: &'a [f64],
     /// The undressed body's height where it was guessed, and what it is expected to be, metres
@@ -67,6 +78,7 @@ pub fn fit_flags(found: &FitFindings<'_>) -> Vec<Flag> {
         focal_estimated(found),
         focal_suspicious(found),
         focal_contradicted(found),
+        poses_contradicted(found),
         height_unusual(found),
         exposure_changes(found),
         keypoints_noisy(found),
@@ -146,6 +158,17 @@ fn focal_contradicted(found: &FitFindings<'_>) -> Option<Flag> {
     let message =
         format!("the clip looks like one of a focal length of {told:.0} px, not of the given {given_px:.0}; {taken}");
     Some(Flag::of_clip(Kind::FocalContradicted, message, ratio, limit))
+}
+
+fn poses_contradicted(found: &FitFindings<'_>) -> Option<Flag> {
+    let ContradictedPoses { off_degrees, limit_degrees, replaced } = found.contradicted_poses?;
+    let taken = match replaced {
+        true => "poses that were found without them took their place",
+        false => "none that explain the keypoints as well were found without them, so they were kept",
+    };
+    let message =
+        format!("the given poses are {off_degrees:.1} degrees a joint off what keypoints show in a frame; {taken}");
+    Some(Flag::of_clip(Kind::PosesContradicted, message, off_degrees, limit_degrees))
 }
 
 fn height_unusual(found: &FitFindings<'_>) -> Option<Flag> {
@@ -252,6 +275,7 @@ mod tests {
             camera_estimated: false,
             distances: &[1.7; 40],
             contradicted_focal: None,
+            contradicted_poses: None,
             keypoint_residuals: &[0.003; 40],
             guessed_height_m: Some(1.68),
             usual_height_m: 1.65,
@@ -272,6 +296,12 @@ mod tests {
             assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("focal_contradicted", 1.4)]);
             let message = &flags[0].message;
             assert!(["700 px", "given 500", taken].iter().all(|part| message.contains(part)), "{message}");
+        }
+        for (replaced, taken) in [(true, "took their place"), (false, "kept")] {
+            let contradicted_poses = Some(ContradictedPoses { off_degrees: 1.5, limit_degrees: 0.5, replaced });
+            let flags = fit_flags(&FitFindings { contradicted_poses, ..good.clone() });
+            assert_eq!(flags.iter().map(|f| (f.code, f.value)).collect::<Vec<_>>(), [("poses_contradicted", 1.5)]);
+            assert!(flags[0].message.contains(taken), "{}", flags[0].message);
         }
         for (height, word) in [(1.57, "small"), (1.73, "tall")] {
             let flags = fit_flags(&FitFindings { guessed_height_m: Some(height), ..good.clone() });

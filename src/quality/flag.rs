@@ -23,6 +23,7 @@ pub enum Kind {
     FocalEstimated,
     FocalSuspicious,
     FocalContradicted,
+    PosesContradicted,
     HeightUnusual,
     ExposureChanges,
     ClothBetweenLegs,
@@ -32,7 +33,7 @@ pub enum Kind {
 }
 
 /// In the order in which reports show them.
-pub const KINDS: [Kind; 24] = [
+pub const KINDS: [Kind; 25] = [
     Kind::NoFullTurn,
     Kind::FewFrames,
     Kind::LowResolution,
@@ -41,6 +42,7 @@ pub const KINDS: [Kind; 24] = [
     Kind::FocalEstimated,
     Kind::FocalSuspicious,
     Kind::FocalContradicted,
+    Kind::PosesContradicted,
     Kind::HeightUnusual,
     Kind::ExposureChanges,
     Kind::KeypointsOffMask,
@@ -81,6 +83,7 @@ impl Kind {
             Kind::FocalEstimated => "focal_estimated",
             Kind::FocalSuspicious => "focal_suspicious",
             Kind::FocalContradicted => "focal_contradicted",
+            Kind::PosesContradicted => "poses_contradicted",
             Kind::HeightUnusual => "height_unusual",
             Kind::ExposureChanges => "exposure_changes",
             Kind::ClothBetweenLegs => "cloth_between_legs",
@@ -111,6 +114,7 @@ impl Kind {
             Kind::FocalEstimated => "px",
             Kind::FocalSuspicious => "degrees along the longer side",
             Kind::FocalContradicted => "focal length that the clip tells, over the given one",
+            Kind::PosesContradicted => "degrees that joints are off in a frame",
             Kind::HeightUnusual => "metres, undressed",
             Kind::ExposureChanges => "brightest over darkest frame",
             Kind::ClothBetweenLegs => "of the way from hip to ankle, where its hem is",
@@ -167,6 +171,10 @@ impl Kind {
             Kind::FocalContradicted => {
                 "Check the focal length: it belongs to the size of these very images, in pixels. One that the clip contradicts \
                  is replaced by the one that the clip tells, unless the job's options say `trust_camera`."
+            }
+            Kind::PosesContradicted => {
+                "Leave the poses out where the person stands and turns: better ones are found without them. Worth giving are those of motion \
+                 capture, or of a fit that has seen the whole clip."
             }
             Kind::HeightUnusual => {
                 "Give the person's height (`height_m`): one camera cannot measure it, and with it the body's proportions come out \

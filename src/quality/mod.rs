@@ -10,7 +10,7 @@ mod sharpness;
 mod surface;
 
 pub use clip::{FrameMeasures, clip_flags, edge_offsets, measure};
-pub use fit::{ContradictedFocal, FitFindings, fit_flags, turn_coverage_degrees};
+pub use fit::{ContradictedFocal, ContradictedPoses, FitFindings, fit_flags, turn_coverage_degrees};
 pub use flag::{Flag, KINDS, Kind};
 pub use mask_edge::settle_masks;
 pub use surface::{SurfaceCheck, check_surface, surface_flags};

@@ -11,12 +11,9 @@ use super::rotation;
 use super::state::{Frame, Layout, Shared, State};
 use super::steps;
 use super::tracks;
+use super::trust::Given;
 use crate::body::N_JOINTS;
 use crate::body::joints::PELVIS;
-
-/// Poses that came with the clip: the fit may move only this far from them (1σ; radians, metres).
-const ANCHOR_ANGLE: f64 = 0.02;
-const ANCHOR_PLACE: f64 = 0.01;
 
 /// `(x/z, y/z, ln z)` and its Jacobian: in these coordinates a walk costs the same at every size of the scene,
 /// which one camera cannot tell, so that smoothness does not favour small bodies.
@@ -181,26 +178,14 @@ impl Problem {
         (angle, slopes, n)
     }
 
-    pub(super) fn anchored(&self, t: usize, frame: &Frame, given: &Frame, mut normal: Option<&mut Normal>) -> f64 {
+    pub(super) fn anchored(&self, t: usize, frame: &Frame, given: &Given, mut normal: Option<&mut Normal>) -> f64 {
         let mut cost = 0.0;
-        let mut pull = |column: usize, value: f64, sigma: f64| {
+        let turn_rate = (Layout::TURN_RATE, frame.turn_rate - given.frames[t].turn_rate, 1.0);
+        for (column, value, sigma) in given.differences(t, frame, self).chain([turn_rate]) {
             let weight = 1.0 / (sigma * sigma);
             cost += 0.5 * weight * value * value;
             if let Some(normal) = normal.as_deref_mut() {
                 normal.add(t, &[(column, 1.0)], &[], value, weight);
-            }
-        };
-        // Small turns: the difference's own Jacobian is the identity.
-        let turn = rotation::log(given.root.transpose() * frame.root);
-        for axis in 0..3 {
-            pull(axis, turn[axis], ANCHOR_ANGLE);
-            pull(Layout::PELVIS + axis, frame.pelvis[axis] - given.pelvis[axis], ANCHOR_PLACE);
-        }
-        pull(Layout::TURN_RATE, frame.turn_rate - given.turn_rate, 1.0);
-        for j in self.prior.joints() {
-            let Some(column) = self.layout.joint_column(j) else { continue };
-            for axis in 0..3 {
-                pull(column + axis, frame.theta[j][axis] - given.theta[j][axis], ANCHOR_ANGLE);
             }
         }
         cost

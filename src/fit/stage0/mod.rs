@@ -39,15 +39,18 @@ mod synthetic;
 #[cfg(test)]
 mod tests;
 mod tracks;
+mod trust;
 
 use crate::body::{Body, N_POSE};
 use crate::camera::Camera;
 use crate::capture::Capture;
 pub use focal::{FOCAL_OFF, FocalCheck};
+pub use known::COARSE_POSES;
 use minimise::minimise;
 pub use prior::ADULT_STATURE;
 use problem::{Problem, Scales};
 use state::State;
+pub use trust::Trust;
 
 /// What can be set. The defaults suit a clip of one turn.
 #[derive(Clone, Debug)]
@@ -101,6 +104,8 @@ pub struct Stage0Report {
     /// The naked body's height where neither it nor poses were given, metres: what its proportions tell, held near
     /// [`ADULT_STATURE`].
     pub guessed_height_m: Option<f64>,
+    /// What was found of poses that came with the clip.
+    pub given_poses: Option<GivenPoses>,
     /// Points of the surface that were followed from frame to frame.
     pub tracked_points: usize,
     /// Cost at the end of every round; rounds differ in their robust scales.
@@ -109,6 +114,22 @@ pub struct Stage0Report {
     pub mask_iou: f32,
     /// What people should know, one line each.
     pub notes: Vec<String>,
+}
+
+/// How well given poses fit the clip, and what became of them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GivenPoses {
+    /// By how much they are off in a frame besides what they are off by in all.
+    pub off: Trust,
+    /// Poses of the fit's own took their place.
+    pub replaced: bool,
+}
+
+impl Stage0Report {
+    /// What given poses are off by, where the fit keeps to them.
+    pub fn kept_poses(&self) -> Option<Trust> {
+        self.given_poses.filter(|given| !given.replaced).map(|given| given.off)
+    }
 }
 
 impl Stage0Result {
@@ -166,39 +187,31 @@ pub fn solve(
     progress: &mut dyn FnMut(f32) -> bool,
 ) -> Result<Stage0Result, Stage0Error> {
     let mut report = Stage0Report::default();
-    let mut candidates = match &capture.poses {
-        Some(known) => vec![known::candidate(body, capture, known, &mut report)?],
-        None => setup::candidates(body, capture)?,
-    };
-    if let Some(height) = options.height_m {
-        candidates.iter_mut().for_each(|c| c.problem.stature.measured(height));
-    }
-    let rounds = ROUGH_ROUNDS * candidates.len()
-        + FINE_ROUNDS
-        + offsets::ROUNDS
+    let rounds = offsets::ROUNDS
         + LASTING_ROUNDS
         + if options.use_pictures { tracks::rounds(capture) } else { 0 }
         + if options.use_masks { contour::MOST_ROUNDS } else { 0 };
-    let mut progress =
-        RoundProgress { tell: progress, rounds, iterations: options.iterations.max(1), round: 0, step: 0 };
-    for candidate in &mut candidates {
-        for round in 0..ROUGH_ROUNDS {
-            if round > 0 {
-                candidate.tighten(ROUGH_RHO);
-            }
-            candidate.descend(1e-3, &mut progress)?;
+    let mut progress = RoundProgress::new(progress, rounds, options.iterations.max(1));
+    let read = |mut candidates: Vec<Candidate>, height: Option<f64>, progress: &mut RoundProgress<'_>| {
+        if let Some(height) = options.height_m.or(height) {
+            candidates.iter_mut().for_each(|c| c.problem.stature.measured(height));
         }
-    }
-    let mut best = likeliest(candidates).ok_or(Stage0Error::NobodyFound)?;
+        read(candidates, progress)
+    };
+    let mut best = match &capture.poses {
+        None => read(setup::candidates(body, capture)?, None, &mut progress)?,
+        Some(known) => {
+            let given = read(vec![known::candidate(body, capture, known, &mut report)?], None, &mut progress)?;
+            let mut own = |height| read(setup::candidates(body, capture)?, height, &mut progress);
+            let (best, poses) = known::kept_or_replaced(given, &mut own)?;
+            if poses.is_some_and(|poses| poses.replaced) {
+                report.notes.clear();
+            }
+            report.given_poses = poses;
+            best
+        }
+    };
     report.costs.push(best.cost);
-    // Only now: a reading that faces the wrong way must not be rid of the face that contradicts it.
-    best.hidden = sides::ignore_hidden_faces(&mut best.problem, &best.state);
-    for _ in 0..FINE_ROUNDS {
-        best.tighten(FINE_RHO);
-        best.look_for_life();
-        best.descend(1e-4, &mut progress)?;
-        report.costs.push(best.cost);
-    }
     offsets::settle(&mut best, &mut progress)?;
     report.costs.push(best.cost);
     best.bear_lasting_noise(&mut progress)?;
@@ -213,6 +226,29 @@ pub fn solve(
         return Err(Stage0Error::Diverged);
     }
     Ok(report::result(&best, body, capture, report))
+}
+
+/// Descends from all candidates with wide scales, and from the likeliest one until the noise is settled.
+fn read(mut candidates: Vec<Candidate>, progress: &mut RoundProgress<'_>) -> Result<Candidate, Stage0Error> {
+    progress.rounds += ROUGH_ROUNDS * candidates.len() + FINE_ROUNDS;
+    for candidate in &mut candidates {
+        for round in 0..ROUGH_ROUNDS {
+            if round > 0 {
+                candidate.tighten(ROUGH_RHO);
+            }
+            candidate.descend(1e-3, progress)?;
+        }
+    }
+    let mut best = likeliest(candidates).ok_or(Stage0Error::NobodyFound)?;
+    // Only now: a reading that faces the wrong way must not be rid of the face that contradicts it.
+    best.hidden = sides::ignore_hidden_faces(&mut best.problem, &best.state);
+    for _ in 0..FINE_ROUNDS {
+        best.tighten(FINE_RHO);
+        best.look_for_life();
+        best.learn_trust();
+        best.descend(1e-4, progress)?;
+    }
+    Ok(best)
 }
 
 /// The candidate of least cost, all measured with the finest noise that one of them reached: a bad reading would
@@ -236,7 +272,7 @@ const FINE_RHO: f64 = 3.0;
 impl Candidate {
     /// Looks for arms and heads that do not only hang and look ahead. Given poses know.
     fn look_for_life(&mut self) {
-        if self.problem.anchor.is_some() {
+        if self.problem.given.is_some() {
             return;
         }
         self.hidden.drain(..).for_each(|(t, k, weight)| self.problem.observations[t][k].weight = weight);
@@ -244,9 +280,17 @@ impl Candidate {
         self.hidden = sides::ignore_hidden_faces(&mut self.problem, &self.state);
     }
 
+    /// Learns how far given poses are off.
+    fn learn_trust(&mut self) {
+        if let Some(mut given) = self.problem.given.take() {
+            given.learn(&self.problem, &self.state, &self.scales);
+            self.problem.given = Some(given);
+        }
+    }
+
     /// Reads sides anew and sets the scales to the residuals' own.
     fn tighten(&mut self, rho: f64) {
-        if self.problem.anchor.is_none() {
+        if self.problem.given.is_none() {
             sides::reread(&mut self.problem, &self.state, &self.scales, &mut self.swapped);
         }
         self.scales.sigma_px = noise::of_each_frame(&self.problem, &self.state, &self.scales);
@@ -258,7 +302,7 @@ impl Candidate {
     /// are held to anyway.
     fn bear_lasting_noise(&mut self, progress: &mut RoundProgress) -> Result<(), Stage0Error> {
         let lasting = noise::lasting(&self.problem, &self.state);
-        if self.problem.anchor.is_some() || lasting <= self.scales.sigma_px {
+        if self.problem.given.is_some() || lasting <= self.scales.sigma_px {
             progress.round += LASTING_ROUNDS;
             return Ok(());
         }
@@ -284,14 +328,21 @@ impl Candidate {
 /// Tells how far the work is, and hears whether to go on.
 struct RoundProgress<'a> {
     tell: &'a mut dyn FnMut(f32) -> bool,
+    /// As far as they are known.
     rounds: usize,
+    /// What was told last.
+    told: f32,
     /// At most, a round.
     iterations: usize,
     round: usize,
     step: usize,
 }
 
-impl RoundProgress<'_> {
+impl<'a> RoundProgress<'a> {
+    fn new(tell: &'a mut dyn FnMut(f32) -> bool, rounds: usize, iterations: usize) -> Self {
+        Self { tell, rounds, told: 0.0, iterations, round: 0, step: 0 }
+    }
+
     fn tick(&mut self) -> bool {
         self.step += 1;
         self.goes_on()
@@ -299,6 +350,8 @@ impl RoundProgress<'_> {
 
     fn goes_on(&mut self) -> bool {
         let rounds = self.round as f32 + self.step as f32 / self.iterations as f32;
-        (self.tell)(rounds / self.rounds as f32)
+        // More may have become known.
+        self.told = self.told.max(rounds / self.rounds as f32);
+        (self.tell)(self.told)
     }
 }

@@ -2,6 +2,9 @@
 //! shared unknowns (an arrow on a block tridiagonal). Solved by a block Cholesky factorisation from the first
 //! frame to the last and a Schur complement for the shared unknowns.
 
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 use super::state::Step;
@@ -83,6 +86,32 @@ impl Normal {
                 block[i * d + j] += weight * slope * other;
             }
         }
+    }
+
+    /// An entry of a frame's own block.
+    pub fn of_frame(&self, t: usize, i: usize, j: usize) -> f64 {
+        self.diagonal[(t * self.d + i.max(j)) * self.d + i.min(j)]
+    }
+
+    pub fn gradient_of_frame(&self, t: usize, i: usize) -> f64 {
+        self.gradient_frames[t * self.d + i]
+    }
+
+    /// `H` and `g` where some columns move alike in all frames and the others not at all: those columns, then the shared ones.
+    pub fn where_all_frames_move(&self, columns: Range<usize>) -> (DMatrix<f64>, DVector<f64>) {
+        let (n, s, m) = (self.n, self.s, columns.len());
+        let first = columns.start;
+        let over_frames = |of: &dyn Fn(usize) -> f64| (0..n).map(of).sum::<f64>();
+        let h = DMatrix::from_fn(m + s, m + s, |i, j| match (i.max(j), i.min(j)) {
+            (i, j) if i < m => over_frames(&|t| self.of_frame(t, first + i, first + j)),
+            (i, j) if j < m => over_frames(&|t| self.border[(t * self.d + first + j) * s + i - m]),
+            (i, j) => self.shared[(i - m) * s + j - m],
+        });
+        let g = DVector::from_fn(m + s, |i, _| match i.checked_sub(m) {
+            None => over_frames(&|t| self.gradient_of_frame(t, first + i)),
+            Some(k) => self.gradient_shared[k],
+        });
+        (h, g)
     }
 
     /// The step `−(H + λ diag H)⁻¹ g`; `None` where the matrix is not positive.

@@ -10,6 +10,7 @@ use super::rig::{Point, PointJacobian, Posed, Rig};
 use super::state::{Frame, Layout, Shared, State};
 use super::steps::Steps;
 use super::tracks::{self, Tracks};
+use super::trust::Given;
 use crate::body::N_JOINTS;
 use crate::camera::Camera;
 
@@ -148,7 +149,7 @@ pub struct Problem {
     pub contours: Vec<Vec<ContourPoint>>,
     /// Empty before pictures are looked at.
     pub tracks: Tracks,
-    pub anchor: Option<Vec<Frame>>,
+    pub given: Option<Given>,
     /// About which frames sway, where detections cannot be trusted to tell.
     pub stance: Option<Stance>,
     /// `[N]`: the arms and heads that do something else than hang and look ahead; empty before they are looked for.
@@ -237,18 +238,31 @@ impl Problem {
             cost += self.keypoints(&look, &mut rows, normal.as_deref_mut());
             cost += self.outline(&look, &mut rows, normal.as_deref_mut());
             cost += self.sightings(&look, &mut rows, normal.as_deref_mut());
-            cost += match &self.anchor {
-                Some(anchor) => self.anchored(t, frame, &anchor[t], normal.as_deref_mut()),
+            cost += match &self.given {
+                Some(given) => self.anchored(t, frame, given, normal.as_deref_mut()),
                 None => self.pose_prior(t, frame, self.lively_at(t), normal.as_deref_mut()),
             };
             cost += self.step_prior(t, frame, normal.as_deref_mut());
         }
-        if self.anchor.is_none() {
+        if self.given.is_none() {
             for t in 0..self.gaps.len() {
                 cost += self.smoothness(t, state, normal.as_deref_mut());
             }
         }
         cost
+    }
+
+    /// What keypoints alone say of every frame.
+    pub fn seen_alone(&self, state: &State, scales: &Scales) -> Normal {
+        let mut normal = Normal::new(state.frames.len(), self.layout.n_frame, self.layout.n_shared);
+        let camera = self.camera.zoomed(state.shared.log_focal);
+        let mut rows = Rows::default();
+        for (t, frame) in state.frames.iter().enumerate() {
+            let posed = self.rig.pose(frame, &state.shared);
+            let look = Look { t, posed: &posed, shared: &state.shared, camera: &camera, scales };
+            self.keypoints(&look, &mut rows, Some(&mut normal));
+        }
+        normal
     }
 
     /// What keypoints and the standing prior make of one frame.

@@ -84,12 +84,12 @@ fn describe(best: &Candidate, report: &mut Stage0Report) {
     let turn = |pair: &[super::state::Frame]| rotation::log(pair[0].root.transpose() * pair[1].root).y;
     report.turn_degrees = best.state.frames.windows(2).map(turn).sum::<f64>().to_degrees() as f32;
     let stature = &best.problem.stature;
-    let guessed = best.problem.anchor.is_none() && !stature.is_measured();
+    let guessed = best.problem.given.is_none() && !stature.is_measured();
     report.guessed_height_m = guessed.then(|| stature.of(&best.state.shared.betas));
     if !report.swapped.is_empty() {
         report.notes.push(format!("left and right were swapped in {} frames", report.swapped.len()));
     }
-    if best.problem.anchor.is_none() && report.turn_degrees.abs() < 180.0 {
+    if best.problem.given.is_none() && report.turn_degrees.abs() < 180.0 {
         report.notes.push(format!("the person turns by {:.0}° only: unseen sides are guessed", report.turn_degrees));
     }
 }

@@ -74,7 +74,7 @@ pub fn problem(body: &Body, capture: &Capture) -> Result<Problem, Stage0Error> {
         surface: Vec::new(),
         contours: Vec::new(),
         tracks: Tracks::default(),
-        anchor: None,
+        given: None,
         stance: None,
         lively: Vec::new(),
         steps: Steps::default(),

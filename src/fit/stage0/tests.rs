@@ -3,7 +3,6 @@ use glam::{DVec2, DVec3};
 use super::normal::Normal;
 use super::problem::Scales;
 use super::rig::Point;
-use super::rotation;
 use super::setup;
 use super::silhouette::{Field, Grid};
 use super::state::{Frame as Pose, Layout, Shared, State, Step};
@@ -12,7 +11,6 @@ use super::tracks::Sighting;
 use super::{FocalCheck, Stage0Error, Stage0Options, Stage0Result, solve};
 use crate::body::Body;
 use crate::body::joints::{HEAD, NECK, RIGHT_WRIST};
-use crate::capture::KnownPoses;
 use crate::keypoints::{COCO17, Part, Side, index_of};
 
 fn solved(how: &Difficulty) -> (Clip, Stage0Result, Errors) {
@@ -381,66 +379,6 @@ fn distances_to_a_disc() {
     let (_, normal) = field.slope(DVec2::new(80.0, 52.0)).unwrap();
     assert!(normal.dot(DVec2::X) > 0.99, "{normal}");
     assert!(Field::new(grid, &[true; 50 * 60]).is_none());
-}
-
-/// A clip's true poses.
-fn known(clip: &Clip) -> KnownPoses {
-    let numbers = |pose: &Pose| {
-        let mut theta = pose.theta;
-        theta[0] = rotation::log(pose.root);
-        theta.iter().flat_map(|v| v.as_vec3().to_array()).collect::<Vec<f32>>()
-    };
-    KnownPoses {
-        poses: clip.poses.iter().map(numbers).collect(),
-        trans: clip.poses.iter().map(|p| p.pelvis.as_vec3().to_array()).collect(),
-        is_pelvis: true,
-        betas: None,
-    }
-}
-
-#[test]
-fn given_poses_are_kept_and_give_the_shape() {
-    let body = Body::test_body();
-    let how = Difficulty { frames: 10, masks: true, betas: vec![0.1, 0.8, 0.9], seed: 13, ..Difficulty::default() };
-    let mut clip = clip(&body, &how);
-    clip.capture.poses = Some(known(&clip));
-    let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
-    let errors = errors(&body, &clip, &result);
-    assert!(errors.joints < 0.015, "{errors:?} {:?}", result.betas);
-    assert!((0.4..0.9).contains(&result.betas[1]), "{:?}", result.betas);
-
-    // `trans` of another body, whose pelvis stands 20 cm lower.
-    let known = clip.capture.poses.as_mut().unwrap();
-    known.is_pelvis = false;
-    known.trans.iter_mut().for_each(|p| p[1] += 0.2);
-    let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
-    let errors = synthetic::errors(&body, &clip, &result);
-    assert!(errors.joints < 0.02, "{errors:?} {:?}", result.report.notes);
-    assert_eq!(result.report.notes.len(), 1, "{:?}", result.report.notes);
-
-    // The shape of another body is told and not taken.
-    let known = clip.capture.poses.as_mut().unwrap();
-    known.trans.iter_mut().for_each(|p| p[1] -= 0.2);
-    (known.is_pelvis, known.betas) = (true, Some(vec![9.0; 10]));
-    let other = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
-    assert!(other.report.notes[0].contains("`betas` has 10 numbers and this body 3"), "{:?}", other.report.notes);
-    assert!((0.4..0.9).contains(&other.betas[1]), "{:?}", other.betas);
-
-    clip.capture.poses.as_mut().unwrap().poses[4].pop();
-    let error = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap_err();
-    assert!(matches!(error, Stage0Error::PoseLength { frame: 4, found: 71 }), "{error}");
-}
-
-#[test]
-fn somebody_tall_has_no_other_pelvis() {
-    let body = Body::test_body();
-    let mut clip =
-        clip(&body, &Difficulty { frames: 10, masks: true, betas: vec![4.0], seed: 13, ..Difficulty::default() });
-    clip.capture.poses = Some(KnownPoses { is_pelvis: false, ..known(&clip) });
-    let result = solve(&body, &clip.capture, &Stage0Options::default(), &mut |_| true).unwrap();
-    let errors = errors(&body, &clip, &result);
-    assert!(errors.joints < 0.015, "{errors:?}");
-    assert!(result.report.notes.is_empty(), "{:?}", result.report.notes);
 }
 
 #[test]

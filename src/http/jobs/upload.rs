@@ -46,7 +46,8 @@ pub(super) struct UploadForm {
     /// `k1 k2 p1 p2 k3`. Without it the focal length is estimated.
     #[schema(value_type = Option<String>, format = Binary)]
     camera: Option<Vec<u8>>,
-    /// Known poses (npz): `poses [N,72]`, `trans [N,3]` or `pelvis [N,3]`, optional `betas`.
+    /// Known poses (npz): `poses [N,72]`, `trans [N,3]` or `pelvis [N,3]`, optional `betas`. They are held as firmly as the
+    /// keypoints bear them out, and rough ones are replaced (`poses_contradicted`).
     #[schema(value_type = Option<String>, format = Binary)]
     poses: Option<Vec<u8>>,
     /// JSON.

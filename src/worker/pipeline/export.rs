@@ -156,6 +156,10 @@ fn report(
             "sigma_px": fitted.start.report.sigma_px,
             "residual_px": fitted.start.report.residual_px,
             "guessed_height_m": fitted.start.report.guessed_height_m,
+            "given_poses": fitted.start.report.given_poses.map(|given| json!({
+                "off": { "root": given.off.root, "place_m": given.off.place, "joints": given.off.joints },
+                "replaced": given.replaced,
+            })),
             "tracked_points": fitted.start.report.tracked_points,
             "swapped_frames": fitted.swapped_frames(),
             "notes": fitted.start.report.notes,

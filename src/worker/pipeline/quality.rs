@@ -4,8 +4,8 @@ use super::export::Fitted;
 use super::score::FrameScore;
 use crate::avatar::{AvatarModel, view_space};
 use crate::fit::gains::FrameGains;
-use crate::fit::stage0::{ADULT_STATURE, FOCAL_OFF, FocalCheck};
-use crate::quality::{self, ContradictedFocal, FitFindings, Flag, FrameMeasures, SurfaceCheck};
+use crate::fit::stage0::{ADULT_STATURE, COARSE_POSES, FOCAL_OFF, FocalCheck, GivenPoses};
+use crate::quality::{self, ContradictedFocal, ContradictedPoses, FitFindings, Flag, FrameMeasures, SurfaceCheck};
 
 /// What was wrong with the clip and with what came of it.
 #[derive(serde::Serialize)]
@@ -32,6 +32,7 @@ impl<'a> Quality<'a> {
             camera_estimated: fitted.capture.camera_estimated,
             distances: &distances,
             contradicted_focal: fitted.focal.filter(FocalCheck::contradicts).map(contradicted),
+            contradicted_poses: fitted.start.report.given_poses.and_then(contradicted_poses),
             keypoint_residuals: &residuals,
             guessed_height_m: fitted.start.report.guessed_height_m,
             usual_height_m: ADULT_STATURE,
@@ -49,6 +50,12 @@ impl<'a> Quality<'a> {
 
 fn contradicted(check: FocalCheck) -> ContradictedFocal {
     ContradictedFocal { given_px: check.given_px, ratio: check.ratio, limit: FOCAL_OFF }
+}
+
+fn contradicted_poses(given: GivenPoses) -> Option<ContradictedPoses> {
+    let [off_degrees, limit_degrees] = [given.off.joints, COARSE_POSES].map(f64::to_degrees);
+    let replaced = given.replaced;
+    (off_degrees > limit_degrees).then_some(ContradictedPoses { off_degrees, limit_degrees, replaced })
 }
 
 /// `residual_px [N]` over the masks' heights, of the frames that have both.
