@@ -102,8 +102,12 @@ impl Normal {
         let (n, s, m) = (self.n, self.s, columns.len());
         let first = columns.start;
         let over_frames = |of: &dyn Fn(usize) -> f64| (0..n).map(of).sum::<f64>();
+        let coupled =
+            |i: usize, j: usize| self.coupling.chunks_exact(self.d * self.d).map(|c| c[i * self.d + j]).sum::<f64>();
+        let among_frames =
+            |i: usize, j: usize| over_frames(&|t| self.of_frame(t, i, j)) + coupled(i, j) + coupled(j, i);
         let h = DMatrix::from_fn(m + s, m + s, |i, j| match (i.max(j), i.min(j)) {
-            (i, j) if i < m => over_frames(&|t| self.of_frame(t, first + i, first + j)),
+            (i, j) if i < m => among_frames(first + i, first + j),
             (i, j) if j < m => over_frames(&|t| self.border[(t * self.d + first + j) * s + i - m]),
             (i, j) => self.shared[(i - m) * s + j - m],
         });

@@ -269,6 +269,13 @@ fn steps_of_the_block_solver_solve_the_whole_system() {
             record(pair.collect(), residual, 1.3);
         }
     }
+    // All frames' second and third unknowns move alike.
+    let (h, g) = normal.where_all_frames_move(1..3);
+    let mut alike = nalgebra::DMatrix::<f64>::zeros(size, 2 + s);
+    (0..n).for_each(|t| (0..2).for_each(|c| alike[(t * d + 1 + c, c)] = 1.0));
+    (0..s).for_each(|c| alike[(n * d + c, 2 + c)] = 1.0);
+    assert!((alike.transpose() * &dense * &alike - h).amax() < 1e-9);
+    assert!((alike.transpose() * &gradient - g).amax() < 1e-9);
     let expected = -dense.lu().solve(&gradient).unwrap();
     let step = normal.solve(0.0).unwrap();
     for (i, found) in step.frames.iter().chain(&step.shared).enumerate() {

@@ -107,7 +107,7 @@ impl Given {
             .map(|((column, value), constant)| (column, value - constant, self.trust.of(column)))
     }
 
-    /// The constant in the columns of frame t.
+    /// The constant in the columns of frame t, in the order of [`columns`].
     fn constant_at(&self, problem: &Problem, t: usize) -> Vec<f64> {
         let Constant { root, place, theta } = &self.constant;
         let place = self.frames[t].root * *place;
@@ -134,6 +134,7 @@ impl Given {
         }
     }
 
+    /// `likely [N]`: mean and variance of the differences, in the order of [`columns`].
     fn likeliest_constant(&self, problem: &Problem, likely: &[(DVector<f64>, DVector<f64>)]) -> Constant {
         let n = likely.len() as f64;
         let mean = |at: usize, sigma: f64, spread: f64, turn: &dyn Fn(usize) -> DMat3| {
@@ -143,7 +144,7 @@ impl Given {
         let as_it_is = |_| DMat3::IDENTITY;
         let mut theta = [DVec3::ZERO; N_JOINTS];
         for (k, (joint, _)) in joints(problem).enumerate() {
-            theta[joint] = mean(6 + 3 * k, self.trust.joints, CONSTANT_ANGLE, &as_it_is);
+            theta[joint] = mean(Layout::TURN_RATE + 3 * k, self.trust.joints, CONSTANT_ANGLE, &as_it_is);
         }
         Constant {
             root: mean(0, self.trust.root, CONSTANT_ANGLE, &as_it_is),
@@ -210,14 +211,33 @@ fn likeliest_trust(
     likely: &[(DVector<f64>, DVector<f64>)],
     constants: impl Iterator<Item = Vec<f64>>,
 ) -> Trust {
-    let mut squares = [(0.0, 0.0); 3];
+    let (mut root, mut place, mut joints) = (Spread::default(), Spread::default(), Spread::default());
     for ((mean, variance), constant) in likely.iter().zip(constants) {
         for (i, &column) in columns.iter().enumerate() {
-            let of = &mut squares[(column / 3).min(2)];
-            of.0 += (mean[i] - constant[i]).powi(2) + variance[i];
-            of.1 += 1.0;
+            let spread = match column {
+                0..Layout::PELVIS => &mut root,
+                Layout::PELVIS..Layout::TURN_RATE => &mut place,
+                _ => &mut joints,
+            };
+            spread.add((mean[i] - constant[i]).powi(2) + variance[i]);
         }
     }
-    let [root, place, joints] = squares.map(|(sum, n)| (sum / n).sqrt());
-    Trust { root, place, joints }
+    Trust { root: root.sigma(), place: place.sigma(), joints: joints.sigma() }
+}
+
+#[derive(Default)]
+struct Spread {
+    squares: f64,
+    n: f64,
+}
+
+impl Spread {
+    fn add(&mut self, square: f64) {
+        self.squares += square;
+        self.n += 1.0;
+    }
+
+    fn sigma(&self) -> f64 {
+        (self.squares / self.n).sqrt()
+    }
 }
