@@ -111,24 +111,6 @@ pub struct StageConfig {
     pub phases: Vec<Phase>,
 }
 
-/// How far from where a stage began poses may go that came with the clip ([`super::stage0::Trust`]).
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Held {
-    /// Radians.
-    pub root: f32,
-    pub joints: f32,
-    /// Metres.
-    pub place: f32,
-}
-
-impl Held {
-    /// As far as they are known.
-    pub fn as_known(off: Trust) -> Self {
-        let Trust { root, place, joints } = off;
-        Self { root: root as f32, joints: joints as f32, place: place as f32 }
-    }
-}
-
 /// Everything that a fit depends on besides the clip and the body.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct FitConfig {
@@ -144,9 +126,9 @@ pub struct FitConfig {
     pub solve_face_colours: bool,
     /// The part of a turn over which steps of pose and placement are spread; 0: each frame steps for itself.
     pub pose_smoothing: f32,
-    /// Where poses were given, how firmly they are held; else as is usual of each joint.
+    /// How far given poses may go from where a stage began: as far as they are off. Others go as is usual of each joint.
     #[serde(default)]
-    pub held: Option<Held>,
+    pub held: Option<Trust>,
     /// Whether the keypoints of the hips count besides those of limbs and nose, as stage 0 has understood them.
     pub hip_keypoints: bool,
     /// Whether the light is told from the albedo ([`crate::ops::light`]); else the colours hold both.

@@ -32,7 +32,7 @@ mod state;
 use std::path::Path;
 use std::sync::Arc;
 
-pub use config::{FitConfig, Held, Phase};
+pub use config::{FitConfig, Phase};
 pub use control::{Control, Flow, StepReport};
 pub use refine::refine_pose;
 pub use state::{FitState, Stage, Texels};

@@ -1,8 +1,9 @@
 //! What is expected of poses besides the pictures, for both stages: smooth motion, since a frame alone says little about its
 //! depth, and joints near where the stage found them, the more so the less pictures tell of them.
 
-use super::config::{Held, Weights};
+use super::config::Weights;
 use super::poses::PoseGroups;
+use super::stage0::Trust;
 use crate::body::joints::{
     LEFT_ANKLE, LEFT_ELBOW, LEFT_FOOT, LEFT_HAND, LEFT_HIP, LEFT_KNEE, PELVIS, RIGHT_ANKLE, RIGHT_ELBOW, RIGHT_FOOT,
     RIGHT_HAND, RIGHT_HIP, RIGHT_KNEE,
@@ -59,7 +60,7 @@ fn turns(poses: &[f32]) -> f64 {
 /// raster's noise. But a leg that the start `[N, 72]` twists to and fro, since the person steps round, goes on as it likes.
 ///
 /// Poses that are known are `held` as firmly as they are known: to go away from them is nearly always to follow something else that is wrong.
-fn anchor_scales(start: &[f32], held: Option<Held>) -> [[f64; 3]; N_JOINTS] {
+fn anchor_scales(start: &[f32], held: Option<Trust>) -> [[f64; 3]; N_JOINTS] {
     const USUAL: f64 = 0.1;
     const HINGE: f64 = 0.01;
     const TWIST: f64 = 0.02;
@@ -76,8 +77,8 @@ fn anchor_scales(start: &[f32], held: Option<Held>) -> [[f64; 3]; N_JOINTS] {
         _ => [USUAL; 3],
     };
     let most = |joint: usize| match held {
-        Some(held) if joint == PELVIS => held.root.into(),
-        Some(held) => held.joints.into(),
+        Some(held) if joint == PELVIS => held.root,
+        Some(held) => held.joints,
         None => f64::INFINITY,
     };
     std::array::from_fn(|joint| usual(joint).map(|scale| scale.min(most(joint))))
@@ -117,7 +118,7 @@ pub struct Motion {
 impl Motion {
     /// `start [N, 72]`: the poses that the joints are held near, `places [N, 3]`: where the person stands in them; what moves
     /// quickly there is expected to. `times [N]`: when the frames were taken, in any unit. `held`: where poses were given.
-    pub fn new(gpu: &Gpu, start: &[f32], places: &[f32], times: &[f64], held: Option<Held>) -> Self {
+    pub fn new(gpu: &Gpu, start: &[f32], places: &[f32], times: &[f64], held: Option<Trust>) -> Self {
         let spacing = &spacing(times);
         let usual = usual(start);
         let stride = N_POSE;
@@ -136,7 +137,7 @@ impl Motion {
             transl: Temporal::new(gpu, transl, Given { expected: &moves, spacing }),
             anchor: Anchor::new(gpu, &anchor, start),
             place_anchor: held.map(|held| {
-                let anchor = AnchorConfig { scales: vec![held.place.into(); 3] };
+                let anchor = AnchorConfig { scales: vec![held.place; 3] };
                 Anchor::new(gpu, &anchor, places)
             }),
         }
@@ -208,11 +209,10 @@ mod tests {
 
     #[test]
     fn given_poses_are_held_as_they_are_known() {
-        let held = Held { root: 0.005, joints: 0.015, place: 0.01 };
+        let held = Trust { root: 0.005, joints: 0.015, place: 0.01 };
         let scales = anchor_scales(&[0.0; 2 * N_POSE], Some(held));
-        let [root, joints, hinge] = [0.005f32, 0.015, 0.01].map(f64::from);
-        assert_eq!((scales[PELVIS], scales[LEFT_SHOULDER]), ([root; 3], [joints; 3]));
-        assert!((scales[LEFT_KNEE][0] - joints).abs() < 1e-9 && (scales[LEFT_KNEE][1] - hinge).abs() < 1e-9);
+        assert_eq!((scales[PELVIS], scales[LEFT_SHOULDER]), ([0.005; 3], [0.015; 3]));
+        assert_eq!(scales[LEFT_KNEE], [0.015, 0.01, 0.01], "hinges stay hinges");
     }
 
     #[test]

@@ -82,13 +82,11 @@ pub fn refine(
     for _ in 0..ROUNDS {
         outline(&best.state).attach(&mut best.problem, &best.state, &masks, &mut known);
         best.descend(1e-3, progress)?;
-        report.costs.push(best.cost);
     }
     if best.problem.given.is_none() && find_steps(best, &outline(&best.state), capture, &masks) {
         for _ in 0..ROUNDS {
             outline(&best.state).attach(&mut best.problem, &best.state, &masks, &mut known);
             best.descend(1e-3, progress)?;
-            report.costs.push(best.cost);
         }
     } else {
         progress.round += ROUNDS;

@@ -108,8 +108,6 @@ pub struct Stage0Report {
     pub given_poses: Option<GivenPoses>,
     /// Points of the surface that were followed from frame to frame.
     pub tracked_points: usize,
-    /// Cost at the end of every round; rounds differ in their robust scales.
-    pub costs: Vec<f64>,
     /// Mean overlap of the fitted outline with the masks, 0..1; 0 where masks were not used.
     pub mask_iou: f32,
     /// What people should know, one line each.
@@ -211,16 +209,13 @@ pub fn solve(
             best
         }
     };
-    report.costs.push(best.cost);
     offsets::settle(&mut best, &mut progress)?;
-    report.costs.push(best.cost);
     best.bear_lasting_noise(&mut progress)?;
     if options.use_masks {
         contour::refine(&mut best, body, capture, &mut report, &mut progress)?;
     }
     if options.use_pictures {
         report.tracked_points = tracks::refine(&mut best, body, capture, &mut progress)?;
-        report.costs.push(best.cost);
     }
     if !best.cost.is_finite() {
         return Err(Stage0Error::Diverged);

@@ -158,7 +158,7 @@ pub struct Problem {
 }
 
 /// `ρ²/(q + ρ²)`: the part of a squared error `q` that Geman and McClure count.
-pub fn geman_mcclure_share(q: f64, rho: f64) -> f64 {
+fn geman_mcclure_share(q: f64, rho: f64) -> f64 {
     let r2 = rho * rho;
     r2 / (q + r2)
 }

@@ -36,7 +36,7 @@ pub struct Constant {
 }
 
 /// What given poses are off by in one frame, 1σ of one number.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Trust {
     /// Radians.
     pub root: f64,

@@ -19,7 +19,7 @@ use crate::fit::detail::{Detail, DetailPlan};
 use crate::fit::gains::FrameGains;
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, FocalCheck, Stage0Error, Stage0Options, Stage0Result};
-use crate::fit::{FitConfig, FitState, Held, Inputs, pelvis};
+use crate::fit::{FitConfig, FitState, Inputs, pelvis};
 use crate::gpu::Gpu;
 use crate::jobs::{JobOptions, Preset};
 use crate::quality;
@@ -52,7 +52,7 @@ pub fn run(
     let focal = settle_focal(&body, &mut capture, &input.options, &mut monitor);
     let start = solve_poses(&body, &capture, &input.options, &mut monitor)?;
     start.reread(&mut capture);
-    config.held = start.report.kept_poses().map(Held::as_known);
+    config.held = start.report.kept_poses();
     let covered = if config.covered { Covered::find(&body, &capture, &start) } else { Covered::default() };
     covered.even_out(&mut body, &start.betas);
     let (poses, transl) = (start.poses.as_slice(), start.transl.as_slice());
