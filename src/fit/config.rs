@@ -139,6 +139,8 @@ pub struct FitConfig {
     pub gains: bool,
     /// Whether the texture is told the colours of what no frame shows, by its surroundings and the body's other half.
     pub fill_unseen: bool,
+    /// Whether poses and surface are adjusted to all frames at once in the end ([`super::bundle`]).
+    pub bundle: bool,
     /// Whether cloth from leg to leg is looked for in the end, filled and carried by both legs ([`super::skirt`]).
     pub skirts: bool,
     /// Whether the body loses toes and ears that shoes and hair cover ([`super::covered`]).
@@ -188,6 +190,7 @@ impl FitConfig {
         config.texture.phases = vec![Phase { epochs: 24, ..TEXTURED }];
         // After so few passes shape and poses are still on their way (docs/lab/fit.md, "How far learning rates fall").
         config.texture.rate_end = 0.3;
+        config.bundle = false;
         config
     }
 
@@ -214,6 +217,7 @@ impl FitConfig {
             light_stands: false,
             gains: true,
             fill_unseen: true,
+            bundle: true,
             skirts: true,
             covered: true,
             detail: true,
@@ -249,7 +253,7 @@ impl FitConfig {
             (weights.rgb, weights.rgb_soft) = (0.0, 0.0);
         }
         config.texture.weights.rgb = 1.0;
-        config.covered = false;
+        (config.bundle, config.covered) = (false, false);
         config.texture.phases.iter_mut().for_each(|phase| phase.pose_rate = 0.0);
         config
     }
@@ -306,7 +310,8 @@ impl FitConfig {
         config.silhouette_gradient = SilhouetteGradient::Nmr;
         config.light = false;
         config.fill_unseen = false;
-        (config.gains, config.skirts, config.covered, config.detail) = (false, false, false, false);
+        (config.gains, config.bundle, config.skirts, config.covered, config.detail) =
+            (false, false, false, false, false);
         config.min_steps_a_pass = 1;
         config.rates.offsets = DIRECT_OFFSET_RATE;
         config.frame_sampling = FrameSampling::Uniform;

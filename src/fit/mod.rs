@@ -3,6 +3,7 @@
 //! configuration has it so, the geometry through it.
 
 mod appearance;
+pub mod bundle;
 mod checkpointed;
 pub mod config;
 mod control;

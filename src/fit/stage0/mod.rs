@@ -28,7 +28,7 @@ mod prior;
 mod problem;
 mod report;
 mod rig;
-mod rotation;
+pub(super) mod rotation;
 mod setup;
 mod sides;
 mod silhouette;

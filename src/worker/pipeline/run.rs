@@ -19,7 +19,7 @@ use crate::fit::detail::{Detail, DetailPlan};
 use crate::fit::gains::FrameGains;
 use crate::fit::skirt::Skirt;
 use crate::fit::stage0::{self, FocalCheck, Stage0Error, Stage0Options, Stage0Result};
-use crate::fit::{FitConfig, FitState, Inputs, pelvis};
+use crate::fit::{FitConfig, FitState, Inputs, bundle, pelvis};
 use crate::gpu::Gpu;
 use crate::jobs::{JobOptions, Preset};
 use crate::quality;
@@ -62,9 +62,13 @@ pub fn run(
     monitor.expect_texture_steps(plan.as_ref().map_or(0, |plan| plan.steps(&config)));
     let (camera, mut fits) = (&start.camera, Fits::new(gpu, work_dir, &mut monitor));
     let mut state = fits.person(&Inputs { body: &body, capture: &capture, camera, config: &config }, fresh)?;
+    let adjusted = config.bundle
+        && adjust(&Inputs { body: &body, capture: &capture, camera, config: &config }, &mut state, fits.monitor)?;
     let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
     if let Some(skirt) = skirt {
         skirt.tailor(&mut body, &mut state);
+    }
+    if skirt.is_some() || adjusted {
         let alone = config.clone().texture_alone();
         state = fits.tailored(&Inputs { body: &body, capture: &capture, camera, config: &alone }, state)?;
     }
@@ -98,6 +102,12 @@ pub fn run(
         config,
     };
     export::export(gpu, &done, input, out_dir, &mut monitor)
+}
+
+/// Adjusts poses and the surface to all frames at once. A fit that is gone on with does it again, and alike.
+fn adjust(inputs: &Inputs<'_>, state: &mut FitState, monitor: &mut Monitor<'_>) -> Result<bool, PipelineError> {
+    let adjusted = bundle::adjust(inputs, state, &mut || monitor.go_on());
+    adjusted.map_err(|error| from_fit(error, monitor.stopped))
 }
 
 /// The pictures that the texture goes on with after the fit, if they can be had.
