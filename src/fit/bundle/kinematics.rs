@@ -114,7 +114,7 @@ impl<'a> Kinematics<'a> {
             (0..3).for_each(|axis| step[3 * j + axis] += weight * turned[axis].powi(2));
             if let Ok(parent) = usize::try_from(self.body.parents[j]) {
                 pulls[parent] += pulls[j];
-                torques[parent] = torques[parent] + torques[j];
+                torques[parent] += torques[j];
             }
         }
         (0..3).for_each(|axis| step[PLACE + axis] += weight * slope[axis].powi(2));

@@ -1,5 +1,5 @@
-//! The fits of a job, one after the other: of the person, of the texture on a tailored surface, of the texture's detail. Each has a
-//! checkpoint of its own and goes on from there.
+//! The fits of a job, one after the other: of the person, of the texture on a surface that was adjusted or tailored, of the texture's
+//! detail. Each has a checkpoint of its own and goes on from there.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -42,12 +42,14 @@ impl<'a, 'm> Fits<'a, 'm> {
             // What lies there is of an earlier fit.
             std::iter::once(TAILORED).chain(DETAILED).for_each(|later| self.forget(later));
         }
-        self.count_texture_steps(inputs);
+        let steps = self.count_texture_steps(inputs);
+        self.monitor.expect_texture_steps(steps);
         self.monitor.start(Stage::Geometry)?;
         self.run(inputs, state, &checkpoint)
     }
 
-    /// The texture anew, on a surface that was tailored after `fitted` had ended.
+    /// The texture anew, on a surface that was adjusted or tailored after `fitted` had ended. Whoever knows that it will come expects its
+    /// steps.
     pub fn tailored(&mut self, inputs: &Inputs<'_>, fitted: FitState) -> Result<FitState, PipelineError> {
         let checkpoint = self.work_dir.join(TAILORED);
         let fresh = FitState { stage: fit::Stage::Texture, step: 0, ..fitted };
@@ -129,10 +131,10 @@ impl<'a, 'm> Fits<'a, 'm> {
         self.monitor.preview_from(body, capture, camera, config, state);
     }
 
-    fn count_texture_steps(&mut self, inputs: &Inputs<'_>) {
+    fn count_texture_steps(&mut self, inputs: &Inputs<'_>) -> u32 {
         let steps = inputs.config.steps(&inputs.config.texture.phases, inputs.capture.frames.len());
-        self.monitor.expect_texture_steps(steps);
         self.texture_steps += steps;
+        steps
     }
 
     fn run(&mut self, inputs: &Inputs<'_>, state: FitState, checkpoint: &Path) -> Result<FitState, PipelineError> {

@@ -60,16 +60,20 @@ pub fn run(
     let gains = settle_gains(gpu, &body, &mut capture, &start.camera, &config, &fresh)?;
     let plan = if config.detail { DetailPlan::to(&capture) } else { None };
     monitor.expect_texture_steps(plan.as_ref().map_or(0, |plan| plan.steps(&config)));
+    let alone = config.clone().texture_alone();
+    let steps_alone = alone.steps(&alone.texture.phases, capture.frames.len());
+    let adjusts = config.bundle && config.held.is_none();
+    monitor.expect_texture_steps(if adjusts { steps_alone } else { 0 });
     let (camera, mut fits) = (&start.camera, Fits::new(gpu, work_dir, &mut monitor));
     let mut state = fits.person(&Inputs { body: &body, capture: &capture, camera, config: &config }, fresh)?;
-    let adjusted = config.bundle
+    let adjusted = adjusts
         && adjust(&Inputs { body: &body, capture: &capture, camera, config: &config }, &mut state, fits.monitor)?;
     let skirt = if config.skirts { Skirt::find(&body, &state) } else { None };
     if let Some(skirt) = skirt {
         skirt.tailor(&mut body, &mut state);
     }
     if skirt.is_some() || adjusted {
-        let alone = config.clone().texture_alone();
+        fits.monitor.expect_texture_steps(if adjusts { 0 } else { steps_alone });
         state = fits.tailored(&Inputs { body: &body, capture: &capture, camera, config: &alone }, state)?;
     }
     let large = match &plan {
