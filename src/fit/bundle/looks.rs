@@ -26,7 +26,7 @@ pub struct Looks {
 }
 
 /// A channel between its pixels, and how it grows along x and y, a pixel.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 pub struct Look {
     pub value: f32,
     pub slope: [f32; 2],
@@ -94,7 +94,7 @@ impl Looks {
 }
 
 /// `values [H, W]`, blurred by a normal distribution; nothing lies beyond them.
-pub fn blurred(values: &[f32], width: usize, height: usize, sigma: f64) -> Vec<f32> {
+fn blurred(values: &[f32], width: usize, height: usize, sigma: f64) -> Vec<f32> {
     let reach = (3.0 * sigma).ceil() as usize;
     let bell: Vec<f64> = (0..=reach).map(|i| (-0.5 * (i as f64 / sigma).powi(2)).exp()).collect();
     let sum = 2.0 * bell.iter().sum::<f64>() - 1.0;

@@ -42,7 +42,7 @@ const MOST_RAISED_M: f64 = 0.005;
 /// Poses that are known stay as they are.
 ///
 /// # Errors
-/// [`FitError::Stopped`] where `go_on` says so.
+/// [`FitError::Stopped`] where `go_on` says so; `state` is then what the last step made of it.
 pub fn adjust(inputs: &Inputs<'_>, state: &mut FitState, go_on: &mut dyn FnMut() -> bool) -> Result<bool, FitError> {
     let Inputs { body, capture, camera, config } = *inputs;
     if config.held.is_some() || capture.frames.is_empty() {

@@ -122,8 +122,9 @@ impl<'a> Normal<'a> {
         all
     }
 
-    /// Half the sum of squares that the equations lower, as Geman and McClure count them, a row, and what is expected of the
-    /// whole `correction` so far.
+    /// What tells whether a step was one: half the squares of looks and of rims, as Geman and McClure count them, each as a mean, and what
+    /// is expected of the whole `correction` so far. Steps lower the sum, in which there are more looks than rims: this may end them
+    /// early, and lets none pass that makes it worse.
     pub fn cost(&self, correction: &[f64], spreads: &[f64; CHANNELS]) -> f64 {
         let bounded = |r: f64, reach: f64| 0.5 * r * r / (1.0 + (r / reach).powi(2));
         let (mut looks, mut rims, mut n_looks, mut n_rims) = (0.0, 0.0, 0, 0);

@@ -157,7 +157,7 @@ fn the_matrix_is_symmetric_and_its_gradient_that_of_the_rows() {
     let (ab, ba) = (dot(&a, &normal.times(&b)), dot(&b, &normal.times(&a)));
     assert!((ab - ba).abs() < 1e-9 * ab.abs().max(dot(&a, &normal.times(&a))), "{ab} and {ba}");
     assert!(dot(&a, &normal.times(&a)) > 0.0);
-    // Preconditioned by its own diagonal.
+    // What is expected says its own diagonal, of turns, places and the surface.
     let mut unit = vec![0.0; n];
     let diagonal = prior.diagonal();
     for i in [0, 7, N_DOF + PLACE, 4 * N_DOF + 20] {
