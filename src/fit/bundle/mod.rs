@@ -27,8 +27,8 @@ use super::stage0::rotation;
 use super::{FitError, FitState, Inputs, motion};
 use crate::body::{Body, N_JOINTS, N_POSE};
 use crate::camera::Camera;
-use crate::ops::Topology;
 use crate::ops::skinning::cpu::{Posed, forward};
+use crate::ops::{Topology, face_normals, light};
 
 /// Steps of Gauss and Newton, and iterations of conjugate gradients for each.
 const STEPS: usize = 5;
@@ -92,13 +92,12 @@ fn surface(body: &Body, state: &FitState) -> Vec<DVec3> {
     shaped.iter().zip(offsets).map(|(v, d)| DVec3::from([0, 1, 2].map(|axis| f64::from(v[axis] + d[axis])))).collect()
 }
 
+/// `[V]`, of length one.
 fn normals(body: &Body, vertices: &[DVec3]) -> Vec<DVec3> {
-    let mut normals = vec![DVec3::ZERO; vertices.len()];
-    for corners in &body.faces {
-        let [a, b, c] = corners.map(|v| vertices[v as usize]);
-        corners.iter().for_each(|&v| normals[v as usize] += (b - a).cross(c - a));
-    }
-    normals.into_iter().map(DVec3::normalize_or_zero).collect()
+    let vertices: Vec<[f64; 3]> = vertices.iter().map(DVec3::to_array).collect();
+    let of_faces = face_normals::cpu::forward(&body.faces, &vertices).concat();
+    let normals = light::cpu::vertex_normals(&body.faces, &of_faces, vertices.len());
+    normals.chunks_exact(3).map(DVec3::from_slice).collect()
 }
 
 fn posed(body: &Body, state: &FitState, frame: usize) -> (Posed<f32>, [f32; 3]) {

@@ -9,6 +9,7 @@ use super::looks::CHANNELS;
 use super::prior::Prior;
 use super::view::View;
 use crate::body::Body;
+use crate::fit::stage0::geman_mcclure;
 use crate::math::{DEVIATION_OVER_MEDIAN, median_f32};
 
 /// What the rows of one frame have: residuals, moves, weights.
@@ -71,7 +72,7 @@ impl<'a> Normal<'a> {
             normal.sum_weights();
             normal.residuals = normal.less_means(values.clone());
             let sigmas = *spreads.get_or_insert_with(|| normal.spreads());
-            let weight = |r: f64, reach: f64| (1.0 + (r / reach).powi(2)).powi(-2);
+            let weight = |r: f64, reach: f64| geman_mcclure(r * r, reach).1;
             normal.weights = (normal.residuals.iter())
                 .map(|rows| Rows {
                     looks: (rows.looks.iter())
@@ -126,7 +127,7 @@ impl<'a> Normal<'a> {
     /// is expected of the whole `correction` so far. Steps lower the sum, in which there are more looks than rims: this may end them
     /// early, and lets none pass that makes it worse.
     pub fn cost(&self, correction: &[f64], spreads: &[f64; CHANNELS]) -> f64 {
-        let bounded = |r: f64, reach: f64| 0.5 * r * r / (1.0 + (r / reach).powi(2));
+        let bounded = |r: f64, reach: f64| geman_mcclure(r * r, reach).0;
         let (mut looks, mut rims, mut n_looks, mut n_rims) = (0.0, 0.0, 0, 0);
         for rows in &self.residuals {
             for r in &rows.looks {

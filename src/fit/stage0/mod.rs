@@ -48,6 +48,7 @@ pub use focal::{FOCAL_OFF, FocalCheck};
 pub use known::COARSE_POSES;
 use minimise::minimise;
 pub use prior::ADULT_STATURE;
+pub(super) use problem::geman_mcclure;
 use problem::{Problem, Scales};
 use state::State;
 pub use trust::Trust;

@@ -164,7 +164,7 @@ fn geman_mcclure_share(q: f64, rho: f64) -> f64 {
 }
 
 /// `½ ρ²q/(q + ρ²)` and its derivative with respect to `½ q`.
-pub(super) fn geman_mcclure(q: f64, rho: f64) -> (f64, f64) {
+pub(in crate::fit) fn geman_mcclure(q: f64, rho: f64) -> (f64, f64) {
     let share = geman_mcclure_share(q, rho);
     (0.5 * q * share, share * share)
 }
